@@ -1,0 +1,58 @@
+"""Where a cube of 64³ voxels sits in the camera's metric frame, and how its bits travel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.core.arrays import GRID_SIZE, Occupancy, PackedOccupancy, Points, Transform
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A cube of 64³ voxels.
+
+    Voxel (i, j, k) has its centre at ((i+½), (j+½), (k+½))·pitch_m in the grid's own frame; arrays are indexed
+    [x, y, z] in C order.
+
+    Attributes:
+        pitch_m: Edge of one voxel in metres, positive.
+        camera_from_grid: Rigid transform from the grid's metric frame to the camera's optical frame.
+    """
+
+    pitch_m: float
+    camera_from_grid: Transform
+
+    @property
+    def edge_m(self) -> float:
+        """Edge of the whole cube, L, in metres."""
+        return self.pitch_m * GRID_SIZE
+
+    @property
+    def grid_from_camera(self) -> Transform:
+        return invert_rigid(self.camera_from_grid)
+
+
+def invert_rigid(b_from_a: Transform) -> Transform:
+    """Inverse of a rigid transform, by its transpose (exact to rounding, unlike a general inverse)."""
+    a_from_b = np.eye(4)
+    a_from_b[:3, :3] = b_from_a[:3, :3].T
+    a_from_b[:3, 3] = -b_from_a[:3, :3].T @ b_from_a[:3, 3]
+    return a_from_b
+
+
+def transform_points(b_from_a: Transform, points_a: Points) -> Points:
+    """Apply a rigid transform to n points."""
+    rotation = b_from_a[:3, :3].astype(np.float32)
+    return np.asarray(points_a @ rotation.T + b_from_a[:3, 3].astype(np.float32), np.float32)
+
+
+def pack_bits(occupancy: Occupancy) -> PackedOccupancy:
+    """64³ voxels to 32 KiB, least significant bit first, C order."""
+    return np.packbits(occupancy.ravel(), bitorder="little")
+
+
+def unpack_bits(packed: PackedOccupancy) -> Occupancy:
+    """Inverse of `pack_bits`."""
+    return np.unpackbits(packed, bitorder="little").reshape((GRID_SIZE,) * 3).astype(bool)

@@ -1,0 +1,1 @@
+"""Everything that makes the models: simulator, data sets, networks, training, evaluation, export."""
