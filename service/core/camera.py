@@ -122,7 +122,7 @@ def _check_distortion(distortion: Sequence[float] | None) -> tuple[float, ...] |
     return tuple(float(coefficient) for coefficient in distortion)
 
 
-def _readable(number: float) -> float | str:
+def _readable(number: int | float) -> int | float | str:
     """JSON has no NaN and no infinity, so a problem document spells them."""
     return number if math.isfinite(number) else str(number)
 

@@ -41,8 +41,8 @@ class PhysNetError(Exception):
         message: str,
         *,
         field: str | None = None,
-        expected: str | float | list[str] | None = None,
-        actual: str | float | None = None,
+        expected: str | int | float | list[str] | None = None,
+        actual: str | int | float | None = None,
     ) -> None:
         super().__init__(message)
         self.message = message

@@ -110,7 +110,7 @@ def test_a_hole_at_the_pixel_is_bridged_by_the_median_around_it() -> None:
     depth_m = np.full((480, 640), 0.6, np.float32)
     depth_m[198:203, 298:303] = np.nan
     depth_m[197, 297] = 3.0  # one flying pixel must not count
-    np.testing.assert_allclose(pixel_to_point(300, 200, depth_m, PLAIN)[2], 0.6, rtol=1e-6)
+    np.testing.assert_allclose(pixel_to_point(300.0, 200.0, depth_m, PLAIN)[2], 0.6, rtol=1e-6)
 
 
 def test_the_bridge_reads_only_pixels_of_the_mask() -> None:
@@ -119,7 +119,7 @@ def test_the_bridge_reads_only_pixels_of_the_mask() -> None:
     depth_m[:, 302:] = 0.4
     mask = np.zeros((480, 640), bool)
     mask[:, 302:] = True
-    np.testing.assert_allclose(pixel_to_point(300, 200, depth_m, PLAIN, mask=mask)[2], 0.4, rtol=1e-6)
+    np.testing.assert_allclose(pixel_to_point(300.0, 200.0, depth_m, PLAIN, mask=mask)[2], 0.4, rtol=1e-6)
 
 
 @pytest.mark.parametrize(("u", "v"), [(-1.0, 5.0), (640.0, 5.0), (5.0, 480.0), (float("nan"), 5.0)])
@@ -133,7 +133,7 @@ def test_a_pixel_far_from_any_reading_is_refused() -> None:
     depth_m = np.full((480, 640), np.nan, np.float32)
     depth_m[0, 0] = 0.5
     with pytest.raises(InvalidRequest, match="no reading near"):
-        pixel_to_point(300, 200, depth_m, PLAIN)
+        pixel_to_point(300.0, 200.0, depth_m, PLAIN)
 
 
 def test_rays_are_computed_once_for_a_camera() -> None:

@@ -1,0 +1,84 @@
+"""PNG images of one grey channel, checked chunk by chunk before OpenCV decodes them."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import cv2
+import numpy as np
+from jaxtyping import Shaped
+
+from service.core.errors import InvalidFrame
+from service.core.limits import FrameLimits, check_size
+
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_COLOURS = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
+
+
+def decode_grey_png(
+    data: bytes | memoryview,
+    field: str,
+    bit_depths: tuple[int, ...],
+    camera_size: tuple[int, int],
+    limits: FrameLimits,
+) -> Shaped[np.ndarray, "height width"]:
+    """Decode a PNG of one grey channel.
+
+    Args:
+        data: The file.
+        field: Path of the image in the request, for errors.
+        bit_depths: Accepted bits per pixel, the largest last; 16 gives uint16, less gives uint8.
+        camera_size: (width, height) that the image must have.
+        limits: Largest size accepted.
+
+    Raises:
+        InvalidFrame: Not a PNG, truncated or damaged, not grey, of another bit depth or another size.
+        PayloadTooLarge: More pixels than `limits` allow.
+    """
+    bits, colour = _check_chunks(data, field, camera_size, limits)
+    if colour != 0 or bits not in bit_depths:
+        raise InvalidFrame(
+            f"The {field} must be a PNG with one grey channel of {bit_depths[-1]} bits.",
+            field=field,
+            expected=f"{bit_depths[-1]}-bit grey",
+            actual=f"{bits}-bit {_COLOURS.get(colour, f'colour type {colour}')}",
+        )
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    expected_type = np.uint16 if bit_depths[-1] == 16 else np.uint8
+    if image is None or image.shape != camera_size[::-1] or image.dtype != expected_type:
+        raise InvalidFrame(f"The {field} is a damaged PNG.", field=field, expected="a PNG that decodes")
+    return np.asarray(image)
+
+
+def _check_chunks(
+    data: bytes | memoryview, field: str, camera_size: tuple[int, int], limits: FrameLimits
+) -> tuple[int, int]:
+    """Bit depth and colour type from the header, after checking every chunk; a decoder may fill a gap silently."""
+    if bytes(data[:8]) != PNG_SIGNATURE or bytes(data[12:16]) != b"IHDR" or len(data) < 33:
+        raise InvalidFrame(
+            f"The {field} is not a PNG.", field=field, expected="a PNG", actual=bytes(data[:8]).hex(" ") or "no bytes"
+        )
+    width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
+    check_size((width, height), camera_size, field, limits)
+    view = memoryview(data)
+    position = 8
+    name = b""
+    while name != b"IEND":
+        length = int.from_bytes(view[position : position + 4], "big")
+        end = position + 12 + length
+        if end > len(data):
+            raise InvalidFrame(f"The {field} is a truncated PNG.", field=field, expected=end, actual=len(data))
+        name = bytes(view[position + 4 : position + 8])
+        if zlib.crc32(view[position + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
+            raise InvalidFrame(
+                f"The {field} is a damaged PNG: the checksum of a chunk is wrong.",
+                field=field,
+                expected="a PNG that decodes",
+                actual=f"damaged {name.decode('ascii', 'replace')} chunk",
+            )
+        position = end
+    return bits, colour
