@@ -1,0 +1,63 @@
+"""Choosing a force that deforms a body by a wanted amount."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Bool, Float64
+
+from training.simulation.loads import Load
+from training.simulation.rasterise import Rasteriser
+
+_STEPS = 12
+_TOLERANCE = 0.01
+_MAX_STRETCH = 0.6
+"""Largest displacement in units of L that the search will try; beyond it a body has left the cube."""
+
+
+def identity_iou(rest: Bool[np.ndarray, "x y z"], deformed: Bool[np.ndarray, "x y z"]) -> float:
+    """Intersection over union of undeformed and deformed occupancy; 1 where both are empty."""
+    union = int((rest | deformed).sum())
+    return 1.0 if union == 0 else int((rest & deformed).sum()) / union
+
+
+def force_for_identity_iou(
+    rasteriser: Rasteriser, load: Load, displacement: Float64[np.ndarray, "nodes 3"], target: float
+) -> Load | None:
+    """The load whose linear response overlaps the undeformed body to a wanted IoU.
+
+    The linear response scales with the force, so each trial costs one voxelisation.
+
+    Args:
+        rasteriser: Of the body; a coarse grid of 32³ is accurate enough.
+        load: Any load number above zero.
+        displacement: Linear nodal displacements under `load`.
+        target: Wanted IoU in (0, 1).
+
+    Returns:
+        The same load with another load number; None where no displacement within the cube overlaps that little.
+    """
+    body = rasteriser.body
+    inner = np.unique(body.cell_nodes[body.fill >= 0.5])
+    peak = float(np.linalg.norm(displacement[inner], axis=1).max(initial=0.0))
+    if not 0.0 < peak < np.inf:
+        return None
+    low, high = 0.0, _MAX_STRETCH / peak
+    # start where most bodies end up, so that large trial states, which are slow to voxelise, are rare
+    factor = 0.1 / peak
+    for _ in range(_STEPS):
+        overlap = identity_iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
+        if abs(overlap - target) < _TOLERANCE:
+            return replace(load, load_number=load.load_number * factor)
+        if overlap > target:
+            low = factor
+            factor = min(1.8 * factor, 0.5 * (low + high))
+        else:
+            high = factor
+            factor = 0.5 * (low + high)
+        if high - low < 1e-3 * high:
+            break
+    if high >= _MAX_STRETCH / peak:
+        return None
+    return replace(load, load_number=load.load_number * factor)

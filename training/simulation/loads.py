@@ -1,0 +1,71 @@
+"""Loads: a dead traction over a smooth patch of the surface around a contact point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from service.core.arrays import Vector3
+from training.simulation.body import Body, project_to_surface, surface_gradient
+from training.simulation.elements import shape_functions
+
+PATCH_RADIUS = 0.1
+"""Default patch radius in units of L; a point load in three dimensions diverges under refinement."""
+
+
+class LoadError(ValueError):
+    """A load that touches no material."""
+
+    reason = "load_off_body"
+
+
+@dataclass(frozen=True)
+class Load:
+    """A force Λ·direction spread with weight (1 − r²/R²)² over the surface within R of the contact.
+
+    Attributes:
+        contact: Place on the surface, in units of L.
+        direction: Unit vector of the force.
+        load_number: Λ = F/(E L²), not negative.
+        patch_radius: R in units of L.
+    """
+
+    contact: Vector3
+    direction: Vector3
+    load_number: float
+    patch_radius: float = PATCH_RADIUS
+
+
+def nodal_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
+    """Work-equivalent nodal forces of a load; they sum to Λ·direction exactly.
+
+    The surface integral is taken over points of a fine lattice that lie in a thin shell around the surface, projected
+    onto it. Only the side of a thin member that faces the contact carries traction: the outward normal there must have
+    a positive component along the normal at the contact.
+
+    Raises:
+        LoadError: no material lies under the patch.
+    """
+    spacing = min(0.25 * body.cell_edge, load.patch_radius / 10.0)
+    reach = np.arange(-load.patch_radius, load.patch_radius + spacing, spacing)
+    lattice = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
+    points = load.contact + lattice[(lattice**2).sum(axis=1) < load.patch_radius**2]
+    value = np.abs(body.distance(points.astype(np.float32)).astype(np.float64))
+    points, value = points[value < 1.5 * spacing], value[value < 1.5 * spacing]
+    points, normals = project_to_surface(body.distance, points, steps=1)
+    outward = surface_gradient(body.distance, load.contact[None])[0]
+    squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
+    # hat-shaped shell weight: an even, second-order quadrature of the surface integral
+    weight = np.clip(1.0 - squared, 0.0, None) ** 2 * (1.0 - value / (1.5 * spacing))
+    weight *= normals @ outward > 0.0
+    # a hair below the surface, so that a face lying on a cell boundary belongs to the cell with the material
+    cell, local = body.locate(points - 1e-4 * body.cell_edge * normals)
+    good = (cell >= 0) & (weight > 0.0)
+    if not good.any():
+        raise LoadError("no material lies under the load's patch: move the contact onto the surface")
+    spread = shape_functions(local[good]) * weight[good, None]
+    nodal = np.bincount(body.cell_nodes[cell[good]].ravel(), weights=spread.ravel(), minlength=body.nodes)
+    nodal /= nodal.sum()
+    return nodal[:, None] * (load.load_number * load.direction)
