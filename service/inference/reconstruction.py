@@ -1,0 +1,30 @@
+"""NumPy façade of the reconstruction network."""
+
+from __future__ import annotations
+
+import numpy as np
+import onnxruntime
+
+from service.core.arrays import Probability
+from service.core.voxels import VoxelView
+from service.inference.manifest import Manifest
+
+
+class ReconstructionModel:
+    """From what a view says about each voxel to the probability that it belongs to the object."""
+
+    def __init__(self, session: onnxruntime.InferenceSession, manifest: Manifest) -> None:
+        self._session = session
+        self.manifest = manifest
+
+    def __call__(self, view: VoxelView) -> Probability:
+        """Occupancy probability of every voxel of the view grid.
+
+        What was measured overrules the network: an observed voxel is filled, a voxel a ray went through is not.
+        """
+        states = np.stack([view.observed, view.free]).astype(np.float32)[None]
+        (probability,) = self._session.run(["probability"], {"view": states})
+        result: Probability = probability[0]
+        result[view.free] = 0.0
+        result[view.observed] = 1.0
+        return result

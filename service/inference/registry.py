@@ -1,0 +1,73 @@
+"""The models a service runs: found by their manifests, checked, opened, warmed up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from service.core.arrays import GRID_SIZE
+from service.core.errors import ModelMismatch
+from service.core.grids import Grid
+from service.core.voxels import VoxelView
+from service.inference.deformation import DeformationModel
+from service.inference.manifest import Manifest, read_manifest
+from service.inference.reconstruction import ReconstructionModel
+from service.inference.session import open_session
+
+
+@dataclass(frozen=True)
+class Models:
+    """One network of each kind."""
+
+    reconstruction: ReconstructionModel
+    deformation: DeformationModel
+
+    @property
+    def manifests(self) -> tuple[Manifest, ...]:
+        return self.reconstruction.manifest, self.deformation.manifest
+
+    def warm_up(self) -> None:
+        """Run each graph twice: the first run of a session plans its memory."""
+        nothing = np.zeros((GRID_SIZE,) * 3, bool)
+        view = VoxelView(grid=Grid(pitch_m=1.0, camera_from_grid=np.eye(4)), observed=nothing, free=nothing)
+        push = np.array([0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.3, 0.1], np.float32)
+        for _ in range(2):
+            self.reconstruction(view)
+            self.deformation(nothing, [push])
+
+
+def load_models(directory: Path, threads: int) -> Models:
+    """Open the newest version of the model of each kind under a folder laid out as `<name>/<version>/`.
+
+    Raises:
+        ModelMismatch: A kind is missing or twice there, or a model does not fit its manifest or this service.
+    """
+    newest: dict[str, tuple[tuple[int, ...], Path]] = {}
+    for path in sorted(directory.glob("*/*/manifest.json")):
+        name, version = path.parent.parent.name, _version_key(path.parent)
+        if name not in newest or version > newest[name][0]:
+            newest[name] = (version, path.parent)
+    by_kind: dict[str, tuple[Path, Manifest]] = {}
+    for _, folder in newest.values():
+        manifest = read_manifest(folder)
+        if manifest.kind in by_kind:
+            raise ModelMismatch(f"{directory} holds two {manifest.kind} models; leave one or name another folder.")
+        by_kind[manifest.kind] = (folder, manifest)
+    for kind in ("reconstruction", "deformation"):
+        if kind not in by_kind:
+            raise ModelMismatch(f"{directory} holds no {kind} model; export one with `physnet-train export`.")
+    return Models(
+        reconstruction=ReconstructionModel(
+            open_session(*by_kind["reconstruction"], threads), by_kind["reconstruction"][1]
+        ),
+        deformation=DeformationModel(open_session(*by_kind["deformation"], threads), by_kind["deformation"][1]),
+    )
+
+
+def _version_key(folder: Path) -> tuple[int, ...]:
+    try:
+        return tuple(int(part) for part in folder.name.split("."))
+    except ValueError as error:
+        raise ModelMismatch(f"{folder}: a version is numbers and dots, such as 0.1.0.") from error

@@ -1,0 +1,1 @@
+"""Data sets: what is drawn, how it is kept, and the manifest that makes it again."""

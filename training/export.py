@@ -1,0 +1,207 @@
+"""From a checkpoint to a self-contained ONNX graph with its manifest; a graph that differs from torch is not written."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from service.core.condition import CONDITION_FIELDS
+from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
+from service.inference.manifest import Manifest, TensorSpec
+from training.data.store import code_version
+from training.networks.deformation import DeformationConfig, DeformationNetwork, warp
+from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+
+OPSET = 20
+PARITY_TOLERANCE = 1e-4
+
+
+class ExportError(Exception):
+    """The model cannot be exported as asked; the message says why."""
+
+
+class ReconstructionGraph(nn.Module):
+    """What is served: probabilities instead of logits."""
+
+    def __init__(self, network: ReconstructionNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, view: Float[Tensor, "1 2 64 64 64"]) -> Tensor:
+        return torch.sigmoid(self.network(view))
+
+
+class DeformationGraph(nn.Module):
+    """What is served: the field at 64³ and the occupancy it gives."""
+
+    def __init__(self, network: DeformationNetwork) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+        field, _, _ = self.network(rest, condition, noise)
+        fine = nn.functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
+        return warp(rest, field), fine
+
+
+@dataclass(frozen=True)
+class Tensors:
+    """The tensors of a graph, by name; a string is a free dimension."""
+
+    inputs: dict[str, tuple[int | str, ...]]
+    outputs: dict[str, tuple[int | str, ...]]
+
+
+RECONSTRUCTION_TENSORS = Tensors({"view": (1, 2, 64, 64, 64)}, {"probability": (1, 64, 64, 64)})
+
+
+def deformation_tensors(latent: int) -> Tensors:
+    return Tensors(
+        {"rest": (1, 1, 64, 64, 64), "condition": ("loads", 9), "noise": ("loads", latent)},
+        {"probability": ("loads", 64, 64, 64), "displacement": ("loads", 3, 64, 64, 64)},
+    )
+
+
+def export_model(
+    checkpoint: Path, kind: str, directory: Path, name: str, version: str, threshold: float,
+    condition_range: dict[str, tuple[float, float]], evaluation: dict[str, Any],
+) -> Manifest:  # fmt: skip
+    """Write `directory/name/version/{model.onnx, manifest.json, CARD.md}`.
+
+    Raises:
+        ExportError: ONNX Runtime's answers differ from torch's by more than 1e-4 on random inputs.
+    """
+    state = torch.load(checkpoint, weights_only=True)
+    graph, tensors = _graph(kind, state)
+    folder = directory / name / version
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        candidate = Path(scratch) / "model.onnx"
+        _write_onnx(graph, tensors, candidate)
+        parity = max(_difference(graph, tensors, candidate, seed) for seed in range(3))
+        if parity > PARITY_TOLERANCE:
+            raise ExportError(f"torch and ONNX Runtime differ by {parity:.2e} (at most {PARITY_TOLERANCE:.0e}); not written")
+        candidate.replace(folder / "model.onnx")
+    manifest = Manifest(
+        name=name, version=version, kind=kind, graph="model.onnx",
+        files={"model.onnx": hashlib.sha256((folder / "model.onnx").read_bytes()).hexdigest()},
+        inputs=tuple(TensorSpec(name=n, dtype="float32", shape=s) for n, s in tensors.inputs.items()),
+        outputs=tuple(TensorSpec(name=n, dtype="float32", shape=s) for n, s in tensors.outputs.items()),
+        grid_contract=GRID_CONTRACT,
+        condition_contract=CONDITION_CONTRACT if kind == "deformation" else None,
+        threshold=threshold, condition_range=condition_range, configuration=state["config"],
+        run=checkpoint.parent.name, dataset=state["dataset"], commit=code_version(), parity=parity,
+        evaluation=evaluation,
+    )  # fmt: skip
+    card = folder / "CARD.md"
+    card.write_text(model_card(manifest))
+    manifest = manifest.model_copy(
+        update={"files": {**manifest.files, "CARD.md": hashlib.sha256(card.read_bytes()).hexdigest()}}
+    )
+    (folder / "manifest.json").write_text(json.dumps(manifest.model_dump(mode="json"), indent=1) + "\n")
+    return manifest
+
+
+def condition_range_of(conditions: Float[np.ndarray, "n 9"]) -> dict[str, tuple[float, float]]:
+    """Smallest and largest value of each condition field, rounded outwards to four digits.
+
+    Mirror images and quarter turns are part of the training, so the horizontal fields span the whole square.
+    """
+    ranges = {}
+    for column, field in enumerate(CONDITION_FIELDS):
+        low, high = float(conditions[:, column].min()), float(conditions[:, column].max())
+        if field in ("contact_x", "contact_y"):
+            low, high = 0.0, 1.0
+        elif field.startswith("direction"):
+            low, high = -1.0, 1.0
+        ranges[field] = (np.floor(low * 1e4) / 1e4, np.ceil(high * 1e4) / 1e4)
+    return ranges
+
+
+def _graph(kind: str, state: dict[str, Any]) -> tuple[nn.Module, Tensors]:
+    options = {key: tuple(v) if isinstance(v, list) else v for key, v in state["config"]["network"].items()}
+    if kind == "reconstruction":
+        reconstruction = ReconstructionNetwork(ReconstructionConfig(**options))
+        reconstruction.load_state_dict(state["network"])
+        return ReconstructionGraph(reconstruction).eval(), RECONSTRUCTION_TENSORS
+    if kind == "deformation":
+        deformation = DeformationNetwork(DeformationConfig(**options))
+        deformation.load_state_dict(state["network"])
+        return DeformationGraph(deformation).eval(), deformation_tensors(deformation.config.latent)
+    raise ExportError(f"there is no {kind} network; choose reconstruction or deformation")
+
+
+def _example(tensors: Tensors, seed: int, loads: int) -> dict[str, np.ndarray]:
+    """Random but valid inputs: binary grids, a condition within its ranges."""
+    rng = np.random.default_rng(seed)
+    inputs: dict[str, np.ndarray] = {}
+    for name, shape in tensors.inputs.items():
+        size = tuple(loads if isinstance(n, str) else n for n in shape)
+        if name == "condition":
+            direction = rng.normal(size=(loads, 3))
+            direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+            rest = rng.uniform([0.2, 0.2, 0.1, -3.5, 0.0, 0.08], [0.8, 0.8, 0.7, -2.0, 0.49, 0.2], (loads, 6))
+            inputs[name] = np.concatenate([rest[:, :3], direction, rest[:, 3:]], axis=1).astype(np.float32)
+        elif name == "noise":
+            inputs[name] = rng.normal(size=size).astype(np.float32)
+        else:
+            inputs[name] = (rng.random(size) < 0.5).astype(np.float32)
+    return inputs
+
+
+def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
+    example = tuple(torch.from_numpy(a) for a in _example(tensors, seed=0, loads=2).values())
+    free = {
+        name: {axis: n for axis, n in enumerate(shape) if isinstance(n, str)}
+        for name, shape in {**tensors.inputs, **tensors.outputs}.items()
+    }
+    torch.onnx.export(
+        graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
+        opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
+    )  # fmt: skip
+    onnx.checker.check_model(onnx.load(str(path)), full_check=True)
+
+
+def _difference(graph: nn.Module, tensors: Tensors, path: Path, seed: int) -> float:
+    inputs = _example(tensors, seed, loads=1 + seed)
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    served = session.run(list(tensors.outputs), inputs)
+    with torch.no_grad():
+        expected = graph(*(torch.from_numpy(a) for a in inputs.values()))
+    expected = expected if isinstance(expected, tuple) else (expected,)
+    return max(float(np.abs(s - e.numpy()).max()) for s, e in zip(served, expected, strict=True))
+
+
+def model_card(manifest: Manifest) -> str:
+    """The card in Markdown, from the manifest alone: nothing in it is typed by hand."""
+    data = manifest.dataset
+    rows = "\n".join(f"| {key} | {value} |" for key, value in manifest.evaluation.items())
+    settings = {k: v for k, v in manifest.configuration.items() if k != "network"}
+    return f"""# {manifest.name} {manifest.version}
+
+A {manifest.kind} network of PhysNet, exported from run `{manifest.run}` at commit `{manifest.commit}`.
+
+| evaluation on bodies never trained on | |
+|---|---|
+{rows}
+
+Occupancy threshold: {manifest.threshold}. Largest difference between torch and ONNX Runtime at export: {manifest.parity:.1e}.
+
+- Network: `{json.dumps(manifest.configuration["network"])}`
+- Training: `{json.dumps(settings)}`
+- Data: {data["samples"]} samples in {data["groups"]} groups, `{data["digest"]}`, made at `{data["code"]}` by
+  `{json.dumps(data["configuration"])}`
+"""
+
+

@@ -1,0 +1,196 @@
+"""The paper's conditional VAE generator, for a CPU: a shape is encoded once, every load decodes a displacement field.
+
+The field is the backward displacement: at a place y of the deformed body it tells how far the material now there has
+come, so the material's place at rest is y - u(y) and the deformed occupancy is the undeformed one looked up there.
+Detail of the shape thus passes through unblurred, and the field can be coarse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from training.networks.blocks import (
+    LEAKY_SLOPE,
+    ConvBlock,
+    ModulatedResidualBlock,
+    ResidualBlock,
+    Upsample,
+    cell_centres,
+    depth_to_space,
+    space_to_depth,
+)
+
+BLOCK = 4
+FIELD_SIZE = 32
+"""The displacement field is decoded on 32³ nodes and interpolated to 64³ voxels."""
+
+CLAMP_HEIGHT = 4.0 / 64.0
+"""The body is clamped on the floor: the field is scaled by tanh(z / this), in edges of the grid."""
+
+CONDITION_SIZE = 9
+LOG_LOAD_CENTRE, LOG_LOAD_SCALE = -3.0, 1.0
+PLANES = 11
+
+
+@dataclass(frozen=True)
+class DeformationConfig:
+    """Channels at 16³, 8³ and 4³ of the encoder and of the generator, sizes of the latent and of the condition."""
+
+    encoder_channels: tuple[int, int, int] = (48, 96, 160)
+    generator_channels: tuple[int, int, int] = (32, 64, 128)
+    generator_blocks: tuple[int, int, int] = (1, 2, 3)
+    latent: int = 16
+    condition: int = 64
+    log_gain: float = 0.0
+    """Mean over the training set of log10(peak displacement / load number): where the gain starts."""
+
+
+class ShapeEncoder(nn.Module):
+    """E: features of the undeformed body at 16³, 8³ and 4³, and the latent's μ and log σ²."""
+
+    def __init__(self, config: DeformationConfig) -> None:
+        super().__init__()
+        fine, middle, coarse = config.encoder_channels
+        self.fine = nn.Sequential(ConvBlock(BLOCK**3, fine, 1), ResidualBlock(fine))
+        self.middle = nn.Sequential(ConvBlock(fine, middle, 2, 2), ResidualBlock(middle))
+        self.coarse = nn.Sequential(ConvBlock(middle, coarse, 2, 2), ResidualBlock(coarse), ResidualBlock(coarse))
+        self.latent = nn.Linear(coarse, 2 * config.latent)
+
+    def forward(self, rest: Float[Tensor, "batch 1 64 64 64"]) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
+        fine = self.fine(space_to_depth(rest, BLOCK))
+        middle = self.middle(fine)
+        coarse = self.coarse(middle)
+        mean, log_variance = self.latent(coarse.mean(dim=(2, 3, 4))).chunk(2, dim=1)
+        return fine, middle, coarse, mean, log_variance
+
+
+def condition_planes(condition: Float[Tensor, "batch 9"], size: int) -> Float[Tensor, "batch 11 x y z"]:
+    """The load as seen from each cell of a `size`³ lattice (the `spatial` encoding).
+
+    Channels: patch weight exp(-r²/2R²); R/√(r²+R²); the direction (3); the vector from the contact (3); the
+    displacement of an infinite incompressible body under a regularised point force (3), times R.
+
+    Source: regularised Kelvinlet, de Goes and James, ACM TOG 36(4), 2017, eq. 6, at ν = ½ up to a constant.
+    """
+    centres = cell_centres(size, condition)
+    contact, direction = condition[:, 0:3, None, None, None], condition[:, 3:6, None, None, None]
+    radius = condition[:, 8, None, None, None, None]
+    offset = centres[None] - contact
+    squared = (offset * offset).sum(dim=1, keepdim=True)
+    patch = torch.exp(-squared / (2 * radius * radius))
+    decay = radius * torch.rsqrt(squared + radius * radius)
+    along = (offset * direction).sum(dim=1, keepdim=True)
+    kelvinlet = direction * decay * (1 + 0.5 * decay * decay) + offset * along * decay**3 / (radius * radius)
+    return torch.cat([patch, decay, direction.expand_as(offset), offset, kelvinlet], dim=1)
+
+
+class LoadGenerator(nn.Module):
+    """G: latent, condition and the encoder's skips to a displacement field for one load."""
+
+    def __init__(self, config: DeformationConfig) -> None:
+        super().__init__()
+        self.config = config
+        fine_in, middle_in, coarse_in = config.encoder_channels
+        fine, middle, coarse = config.generator_channels
+        fine_blocks, middle_blocks, coarse_blocks = config.generator_blocks
+        hidden = config.condition
+        self.embed = nn.Sequential(
+            nn.Linear(CONDITION_SIZE + config.latent, hidden), nn.LeakyReLU(LEAKY_SLOPE),
+            nn.Linear(hidden, hidden), nn.LeakyReLU(LEAKY_SLOPE),
+        )  # fmt: skip
+        self.enter_coarse = ConvBlock(coarse_in + PLANES, coarse, 1)
+        self.coarse = nn.ModuleList(ModulatedResidualBlock(coarse, hidden) for _ in range(coarse_blocks))
+        self.up_middle = Upsample(coarse, middle)
+        self.enter_middle = ConvBlock(middle + middle_in + PLANES, middle, 1)
+        self.middle = nn.ModuleList(ModulatedResidualBlock(middle, hidden) for _ in range(middle_blocks))
+        self.up_fine = Upsample(middle, fine)
+        self.enter_fine = ConvBlock(fine + fine_in + PLANES, fine, 1)
+        self.fine = nn.ModuleList(ModulatedResidualBlock(fine, hidden) for _ in range(fine_blocks))
+        self.head = nn.Conv3d(fine, 3 * (FIELD_SIZE // 16) ** 3, 1)
+        self.gain = nn.Sequential(nn.Linear(coarse + hidden, hidden), nn.LeakyReLU(LEAKY_SLOPE), nn.Linear(hidden, 1))
+
+    def forward(
+        self, fine_skip: Tensor, middle_skip: Tensor, coarse_skip: Tensor, z: Tensor, condition: Tensor
+    ) -> Float[Tensor, "batch 3 32 32 32"]:
+        h = self.embed(torch.cat([_normalised(condition), z], dim=1))
+        x = self.enter_coarse(torch.cat([coarse_skip, condition_planes(condition, 4)], dim=1))
+        for block in self.coarse:
+            x = block(x, h)
+        # Displacement grows with the load number before it saturates, over decades: the network predicts the log of
+        # the gain, and the field around it stays of order one.
+        log_gain = self.config.log_gain + self.gain(torch.cat([x.mean(dim=(2, 3, 4)), h], dim=1))[:, 0]
+        peak = 10.0 ** torch.clamp(condition[:, 6] + log_gain, max=0.0)
+        x = self.enter_middle(torch.cat([self.up_middle(x), middle_skip, condition_planes(condition, 8)], dim=1))
+        for block in self.middle:
+            x = block(x, h)
+        x = self.enter_fine(torch.cat([self.up_fine(x), fine_skip, condition_planes(condition, 16)], dim=1))
+        for block in self.fine:
+            x = block(x, h)
+        field = depth_to_space(self.head(x), FIELD_SIZE // 16)
+        height = cell_centres(FIELD_SIZE, field)[2]
+        return field * torch.tanh(height / CLAMP_HEIGHT) * peak[:, None, None, None, None]
+
+
+def _normalised(condition: Tensor) -> Tensor:
+    log_load = (condition[:, 6:7] - LOG_LOAD_CENTRE) / LOG_LOAD_SCALE
+    scale = condition.new_tensor([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 10.0])
+    return torch.cat([condition[:, :6], log_load, condition[:, 7:]], dim=1) * scale
+
+
+class DeformationNetwork(nn.Module):
+    """E and G together; `rest` is one body, `condition` holds any number of loads on it (or one body for each)."""
+
+    def __init__(self, config: DeformationConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.encoder = ShapeEncoder(config)
+        self.generator = LoadGenerator(config)
+
+    def forward(
+        self,
+        rest: Float[Tensor, "bodies 1 64 64 64"],
+        condition: Float[Tensor, "loads 9"],
+        noise: Float[Tensor, "loads latent"],
+    ) -> tuple[Float[Tensor, "loads 3 32 32 32"], Tensor, Tensor]:
+        """Backward displacement in edges of the grid, and μ, log σ² of the latent.
+
+        Args:
+            rest: Undeformed occupancy; one body for all loads, or as many bodies as loads.
+            condition: See `service.core.condition`.
+            noise: Standard normal for a sample of the posterior, zeros for its mean: z = μ + σ·noise.
+        """
+        fine, middle, coarse, mean, log_variance = self.encoder(rest)
+        loads = condition.shape[0]
+        z = mean + torch.exp(0.5 * log_variance) * noise
+        fine, middle, coarse = (f.expand(loads, -1, -1, -1, -1) for f in (fine, middle, coarse))
+        return self.generator(fine, middle, coarse, z, condition), mean, log_variance
+
+
+def sample_field(
+    field: Float[Tensor, "batch c x y z"], points: Float[Tensor, "batch n 3"]
+) -> Float[Tensor, "batch c n"]:
+    """Trilinear lookup of a field over the unit cube at points in it (x, y, z in [0, 1]); zeros outside... of the cube.
+
+    torch's grid_sample indexes the last axis first, hence the flip.
+    """
+    grid = (2.0 * points - 1.0).flip(-1)[:, :, None, None, :]
+    sampled = functional.grid_sample(field, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    return sampled[:, :, :, 0, 0]
+
+
+def warp(
+    rest: Float[Tensor, "bodies 1 64 64 64"], field: Float[Tensor, "loads 3 32 32 32"]
+) -> Float[Tensor, "loads 64 64 64"]:
+    """Deformed occupancy: the undeformed one looked up at y - u(y)."""
+    loads = field.shape[0]
+    fine = functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
+    source = cell_centres(64, field)[None] - fine
+    grid = (2.0 * source - 1.0).flip(1).permute(0, 2, 3, 4, 1)
+    warped = functional.grid_sample(rest.expand(loads, -1, -1, -1, -1), grid, mode="bilinear", padding_mode="zeros",
+                                    align_corners=False)  # fmt: skip
+    return warped[:, 0]

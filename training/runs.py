@@ -1,0 +1,127 @@
+"""A training run on disk: checkpoints that resume exactly, a log one can plot, and progress one can read."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+
+class RunError(Exception):
+    """A run cannot go on; the message says what to do."""
+
+
+class Stateful(Protocol):
+    """What a checkpoint keeps beside the weights."""
+
+    def state_dict(self) -> dict[str, Any]: ...
+    def load_state_dict(self, state_dict: dict[str, Any], /) -> object: ...
+
+
+class Run:
+    """`runs/<name>/`: checkpoint.pt, log.csv.
+
+    Args:
+        root: Folder of this run; made if need be.
+        print_every: Seconds between lines of progress.
+        checkpoint_every: Seconds between checkpoints that are not asked for by a step.
+    """
+
+    def __init__(self, root: Path, print_every: float = 10.0) -> None:
+        self.root = root
+        self.root.mkdir(parents=True, exist_ok=True)
+        self._print_every = print_every
+        self._printed = 0.0
+        self._dataset: dict[str, Any] = {}
+
+    @property
+    def checkpoint_path(self) -> Path:
+        return self.root / "checkpoint.pt"
+
+    def resume(
+        self, network: nn.Module, optimizer: Stateful, schedule: Stateful, config: Any, dataset: dict[str, Any]
+    ) -> int:
+        """Load the last checkpoint, if there is one, and return the step to go on from.
+
+        Raises:
+            RunError: The checkpoint is of another configuration or data set.
+        """
+        self._dataset = dataset
+        if not self.checkpoint_path.exists():
+            return 0
+        state = torch.load(self.checkpoint_path, weights_only=True)
+        wanted = dataclasses.asdict(config)
+        different = [key for key in wanted if state["config"].get(key) != _plain(wanted[key])]
+        if different:
+            raise RunError(
+                f"{self.checkpoint_path} was trained with another {', '.join(different)}; "
+                "choose another --run or the same configuration"
+            )
+        if state["dataset"]["digest"] != dataset["digest"]:
+            raise RunError(f"{self.checkpoint_path} was trained on another data set; choose another --run")
+        network.load_state_dict(state["network"])
+        optimizer.load_state_dict(state["optimizer"])
+        schedule.load_state_dict(state["schedule"])
+        self.say(f"going on from step {state['step']}")
+        return int(state["step"])
+
+    def checkpoint(self, step: int, network: nn.Module, optimizer: Stateful, schedule: Stateful, config: Any) -> None:
+        """Write everything that `resume` needs, whole or not at all."""
+        partial = self.checkpoint_path.with_suffix(".partial")
+        torch.save(
+            {
+                "step": step,
+                "network": network.state_dict(),
+                "optimizer": optimizer.state_dict(),
+                "schedule": schedule.state_dict(),
+                "config": _plain(dataclasses.asdict(config)),
+                "dataset": self._dataset,
+            },
+            partial,
+        )
+        os.replace(partial, self.checkpoint_path)
+
+    def check_finite(self, loss: Tensor, step: int) -> None:
+        """Raises: RunError: The loss is NaN or infinite; the last good checkpoint stays."""
+        if not torch.isfinite(loss):
+            raise RunError(f"the loss is {float(loss)} at step {step}; the last checkpoint is kept: {self.checkpoint_path}")
+
+    def log(self, step: int, figures: dict[str, float]) -> None:
+        """One row of validation figures to log.csv and to the terminal."""
+        path = self.root / "log.csv"
+        new = not path.exists()
+        with path.open("a", newline="") as file:
+            writer = csv.writer(file)
+            if new:
+                writer.writerow(["step", *figures])
+            writer.writerow([step, *(f"{value:.6f}" for value in figures.values())])
+        self.say(f"step {step}: " + "  ".join(f"{name} {value:.4f}" for name, value in figures.items()))
+
+    def progress(self, done: int, total: int, first: int, started: float, losses: dict[str, float]) -> None:
+        """A line every few seconds: step, rate, time left, losses."""
+        now = time.monotonic()
+        if now - self._printed < self._print_every:
+            return
+        self._printed = now
+        rate = (done - first) / max(now - started, 1e-9)
+        terms = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
+        self.say(f"{done}/{total}  {rate:.2f} steps/s  {(total - done) / rate / 60:.0f} min left  {terms}")
+
+    def say(self, line: str) -> None:
+        print(f"[{self.root.name}] {line}", file=sys.stderr, flush=True)
+
+
+def _plain(value: Any) -> Any:
+    """Tuples as lists, so that a configuration compares equal to the one read back."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value
