@@ -44,7 +44,8 @@ def force_for_identity_iou(
     if not 0.0 < peak < np.inf:
         return None
     low, high = 0.0, _MAX_STRETCH / peak
-    # start where most bodies end up, so that large trial states, which are slow to voxelise, are rare
+    # 1/IoU − 1 grows almost linearly with the force: scale by it, and bisect when that leaves the bracket
+    wanted = 1.0 / target - 1.0
     factor = 0.1 / peak
     for _ in range(_STEPS):
         overlap = identity_iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
@@ -52,12 +53,13 @@ def force_for_identity_iou(
             return replace(load, load_number=load.load_number * factor)
         if overlap > target:
             low = factor
-            factor = min(1.8 * factor, 0.5 * (low + high))
         else:
             high = factor
-            factor = 0.5 * (low + high)
         if high - low < 1e-3 * high:
             break
+        factor *= wanted / max(1.0 / max(overlap, 1e-3) - 1.0, 1e-3)
+        if not low < factor < high:
+            factor = 0.5 * (low + high)
     if high >= _MAX_STRETCH / peak:
         return None
     return replace(load, load_number=load.load_number * factor)

@@ -67,7 +67,7 @@ class Rasteriser:
         deformed[index] = True
         backward = np.full((3, size**3), np.nan, np.float32)
         place = np.stack(np.unravel_index(index, (size,) * 3)).astype(np.float32)
-        backward[:, index] = (place + np.float32(0.5)) / np.float32(size) - rest.T
+        backward[:, index] = (place + np.float32(0.5)) / np.float32(size) - rest
         forward = np.full((3, size**3), np.nan, np.float32)
         nodal = displacement.astype(np.float32)[self.body.cell_nodes[self._rest_cell]]
         moved = np.einsum("na,nai->in", self._rest_shape, nodal)
@@ -90,20 +90,16 @@ class Rasteriser:
 
     def _material_points(
         self, displacement: Float64[np.ndarray, "nodes 3"]
-    ) -> tuple[Int[np.ndarray, " n"], Float32[np.ndarray, "n 3"]]:
+    ) -> tuple[Int[np.ndarray, " n"], Float32[np.ndarray, "3 n"]]:
         """Flat index of every voxel in the deformed body, and the material point at rest that lies there."""
         body = self.body
         positions = ((body.node_positions + displacement) * self.size - 0.5).astype(np.float32)
-        corners = positions[body.cell_nodes]
-        voxel, cell = _candidates(corners, self.size)
-        local, found = _invert(corners, voxel, cell)
-        voxel, cell = voxel[found], cell[found]
-        rest = (body.active[cell] + np.float32(0.5) + local[found]).astype(np.float32) * np.float32(body.cell_edge)
+        voxel, cell, local = _invert(positions[body.cell_nodes], self.size)
+        rest = (body.active.T[:, cell] + np.float32(0.5) + local).astype(np.float32) * np.float32(body.cell_edge)
         inside = ~self._partial[cell]
         check = np.flatnonzero(~inside)
-        inside[check] = body.distance(rest[check]) < 0
-        flat = (voxel[inside, 0] * self.size + voxel[inside, 1]) * self.size + voxel[inside, 2]
-        return flat, rest[inside]
+        inside[check] = body.distance(np.ascontiguousarray(rest[:, check].T)) < 0
+        return voxel[inside], rest[:, inside]
 
 
 def rasterise(body: Body, displacement: Float64[np.ndarray, "nodes 3"], size: int = GRID_SIZE) -> Rasterised:
@@ -117,64 +113,97 @@ def voxel_centres(size: int = GRID_SIZE) -> Float32[np.ndarray, "n 3"]:
     return np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _candidates(
-    corners: Float32[np.ndarray, "m 8 3"], size: int
-) -> tuple[Int[np.ndarray, "n 3"], Int[np.ndarray, " n"]]:
-    """Every voxel in the bounding box of every deformed cell; corners are in voxel indices."""
-    low = np.clip(np.ceil(corners.min(axis=1) - _TOLERANCE), 0, size).astype(np.int32)
-    high = np.clip(np.floor(corners.max(axis=1) + _TOLERANCE) + 1, 0, size).astype(np.int32)
-    extent = np.maximum(high - low, 0)
-    count = extent.prod(axis=1)
-    cell = np.repeat(np.arange(len(corners)), count)
-    rank = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count)
-    depth, width = extent[cell, 2], extent[cell, 1]
-    rest, k = np.divmod(rank, depth)
-    i, j = np.divmod(rest, width)
-    return np.stack([i, j, k], axis=1) + low[cell], cell
-
-
 def _invert(
-    corners: Float32[np.ndarray, "m 8 3"], voxel: Int[np.ndarray, "n 3"], cell: Int[np.ndarray, " n"]
-) -> tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Local coordinates in [−½, ½]³ of voxels in their candidate cells, and which of them lie inside.
+    corners: Float32[np.ndarray, "m 8 3"], size: int
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"], Float32[np.ndarray, "3 n"]]:
+    """Every voxel centre in every deformed cell: flat voxel index, cell, local coordinates in [−½, ½]³.
 
     The trilinear map is its value and Jacobian at the cell's centre plus four products of the local coordinates,
     y = c + A ξ + B (ξη, ηζ, ζξ, ξηζ). The fixed point ξ ← A⁻¹(y − c) − A⁻¹B(ξη, ηζ, ζξ, ξηζ) converges in a few steps
     because cells are small; voxels that run away belong to another cell.
+
+    Args:
+        corners: Deformed corners of every cell, in voxel indices.
+        size: Voxels along each edge of the grid.
     """
     sign = np.where(CORNERS == 1, 1.0, -1.0).astype(np.float32)
-    products = _products(sign.T / 2)  # (4, 8) at the corners
+    signed_products = _products(sign.T)
     centre = corners.mean(axis=1)
-    jacobian = np.einsum("mai,aj->mij", corners, sign) / 4
-    bilinear = np.einsum("mai,pa->mip", corners, products * np.array([[2], [2], [2], [8]], np.float32))
-    determinant = np.linalg.det(jacobian)
-    usable = determinant > 1e-6
+    # at the corners ξ = ±½, so that a coefficient of two factors is 4 times the mean of its signs, of three 8 times
+    coefficients = np.concatenate([2 * sign.T, 4 * signed_products[:3], 8 * signed_products[3:]]) / 8
+    terms = (coefficients.astype(np.float32) @ corners).transpose(0, 2, 1)
+    jacobian, bilinear = terms[:, :, :3], terms[:, :, 3:]
+    # a cell turned inside out has no inverse; states that hold one are reported by the solver
+    usable = np.linalg.det(jacobian) > 1e-6
     inverse = np.zeros_like(jacobian)
     inverse[usable] = np.linalg.inv(jacobian[usable])
     curved = inverse @ bilinear
     # the largest shift that the products can make bounds how far outside the affine guess may lie
     margin = 0.5 + _TOLERANCE + np.abs(curved[:, :, :3]).sum(axis=2) / 4 + np.abs(curved[:, :, 3]) / 8
-    offset = voxel.astype(np.float32) - centre[cell]
-    start = np.einsum("nij,nj->ni", inverse[cell], offset)
-    open_ = np.flatnonzero((np.abs(start) <= margin[cell]).all(axis=1) & usable[cell])
-    local = np.zeros_like(start)
-    found = np.zeros(len(start), bool)
-    target = start[open_].T
-    terms = curved[cell[open_]].transpose(1, 2, 0)  # (3, 4, n)
-    current = target
+    margin[~usable] = -1.0
+    low = np.ceil(corners.min(axis=1) - _TOLERANCE).astype(np.int64)
+    extent = (np.floor(corners.max(axis=1) + _TOLERANCE).astype(np.int64) - low).max(axis=1) + 1
+    first = np.einsum("mij,mj->mi", inverse, low - centre)
+    parts = [
+        _affine_candidates(np.flatnonzero(extent == edge), int(edge), low, first, inverse, margin)
+        for edge in np.unique(extent)
+        if edge > 0
+    ]
+    voxel = np.concatenate([part[0] for part in parts], axis=1)
+    cell = np.concatenate([part[1] for part in parts])
+    start = np.concatenate([part[2] for part in parts], axis=1)
+    local, settled = _fixed_point(start, curved[cell].transpose(1, 2, 0))
+    settled &= (np.abs(local).max(axis=0) <= 0.5 + _TOLERANCE) & (voxel.min(axis=0) >= 0) & (voxel.max(axis=0) < size)
+    voxel = voxel[:, settled]
+    return (voxel[0] * size + voxel[1]) * size + voxel[2], cell[settled], local[:, settled]
+
+
+def _affine_candidates(
+    cells: Int[np.ndarray, " c"],
+    edge: int,
+    low: Int[np.ndarray, "m 3"],
+    first: Float64[np.ndarray, "m 3"],
+    inverse: Float32[np.ndarray, "m 3 3"],
+    margin: Float32[np.ndarray, "m 3"],
+) -> tuple[Int[np.ndarray, "3 n"], Int[np.ndarray, " n"], Float32[np.ndarray, "3 n"]]:
+    """Voxels of the bounding boxes, edge³ voxels each, that may lie in their cell by its affine part.
+
+    Returns:
+        Voxel index, cell, and the affine guess of the local coordinates.
+    """
+    axis = np.arange(edge)
+    offsets = np.stack(np.meshgrid(axis, axis, axis, indexing="ij")).reshape(3, -1)
+    guess = inverse[cells] @ offsets.astype(np.float32)
+    guess += first[cells, :, None].astype(np.float32)
+    bound = margin[cells].astype(np.float32)
+    maybe = np.abs(guess[:, 0]) <= bound[:, :1]
+    for component in (1, 2):
+        maybe &= np.abs(guess[:, component]) <= bound[:, component, None]
+    row, place = np.nonzero(maybe)
+    cell = cells[row]
+    return low.T[:, cell] + offsets[:, place], cell, np.stack([guess[row, i, place] for i in range(3)])
+
+
+def _fixed_point(
+    start: Float32[np.ndarray, "3 n"], terms: Float32[np.ndarray, "3 4 n"]
+) -> tuple[Float32[np.ndarray, "3 n"], Bool[np.ndarray, " n"]]:
+    """Local coordinates that solve the trilinear map, and which of them converged."""
+    local = start.copy()
+    settled = np.zeros(start.shape[1], bool)
+    open_ = np.arange(start.shape[1])
+    target, current = start, start
     for _ in range(_ITERATIONS):
-        value = target - (terms * _products(current)[None]).sum(axis=1)
+        value = target - np.einsum("ipn,pn->in", terms, _products(current))
         change = np.abs(value - current).max(axis=0)
-        current = np.clip(value, -_OUTSIDE, _OUTSIDE)
-        done = change < 0.5 * _TOLERANCE
-        settled = open_[done]
-        local[settled] = current[:, done].T
-        found[settled] = True
-        if done.all():
+        np.clip(value, -_OUTSIDE, _OUTSIDE, out=value)
+        local[:, open_] = value
+        going = change >= 0.5 * _TOLERANCE
+        settled[open_[~going]] = True
+        open_ = open_[going]
+        if len(open_) == 0:
             break
-        open_, target, terms, current = open_[~done], target[:, ~done], terms[:, :, ~done], current[:, ~done]
-    found &= (np.abs(local) <= 0.5 + _TOLERANCE).all(axis=1)
-    return local, found
+        target, current, terms = target[:, going], value[:, going], terms[:, :, going]
+    return local, settled
 
 
 def _products(local: Float32[np.ndarray, "3 n"]) -> Float32[np.ndarray, "4 n"]:

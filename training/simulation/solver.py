@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +30,12 @@ class LinearSolver:
         self.element = MeanDilatationHexahedron(body.cell_edge)
         self.stiffness = self.assemble(self.element.stiffness(body.quadrature_weights, poisson_ratio))
         self.factor: Factor = factorise(self.stiffness, backend)
+        self._backend = backend
+
+    @cached_property
+    def tangent_factor(self) -> Factor:
+        """A second factor on the same pattern, for the tangents of nonlinear states; its ordering is found once."""
+        return factorise(self.stiffness, self._backend)
 
     def assemble(self, element: Float64[np.ndarray, "300 m"]) -> sp.csr_array:
         """Upper triangle of the global matrix over the free degrees of freedom."""
