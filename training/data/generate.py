@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 import time
@@ -41,7 +42,8 @@ def fill(
     for variable in THREAD_VARIABLES:
         os.environ[variable] = "1"
     started, printed, done, samples = time.monotonic(), 0.0, 0, 0
-    with ProcessPoolExecutor(workers) as pool:
+    # Spawned, not forked: the libraries read their number of threads when they load.
+    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
         futures = [pool.submit(_draw_one, store, draw, index) for index in todo]
         for future in as_completed(futures):
             done, samples = done + 1, samples + future.result()
