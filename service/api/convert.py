@@ -1,0 +1,337 @@
+"""Between the wire and `service.core.messages`: requests in, replies out. The only place where either is translated."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from pydantic_core import to_json
+
+from service.api.problem import validation_failed
+from service.api.schemas import DeformBody, LoadBody, MaterialBody, ShapeBody
+from service.core.arrays import GRID_SIZE, Occupancy, Transform, Vector3
+from service.core.camera import make_intrinsics, parse_up
+from service.core.errors import InvalidFrame, InvalidRequest, InvalidShape
+from service.core.grids import pack_bits
+from service.core.materials import Material, material, material_named
+from service.core.messages import (
+    DeformRequest,
+    DeformResult,
+    EncodedImage,
+    KnownShape,
+    Load,
+    LoadResult,
+    Observation,
+)
+
+SHAPE_BYTES = GRID_SIZE**3 // 8
+
+RIGID_TOLERANCE = 1e-3
+"""Largest deviation of RᵀR from the identity: poses printed with four digits pass, scaled or sheared ones do not."""
+
+_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+_NPY_SIGNATURE = b"\x93NUMPY"
+
+
+# --- requests ---------------------------------------------------------------------------------------------------
+
+
+def parse_body(data: bytes) -> DeformBody:
+    """A JSON document as a request body whose form is right.
+
+    Raises:
+        ValidationFailed: It is not JSON, or a field is missing, unknown or of the wrong form.
+    """
+    try:
+        return DeformBody.model_validate_json(data)
+    except ValidationError as failure:
+        raise validation_failed(failure) from None
+
+
+def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] | None = None) -> DeformRequest:
+    """What the body asks for.
+
+    Args:
+        body: The request.
+        max_loads: Most loads in one request.
+        files: Parts `depth` and `mask` of a multipart request; None where images are in the body as base64.
+
+    Raises:
+        InvalidRequest: Or one of its kin, with the path of the offending field.
+    """
+    if len(body.loads) > max_loads:
+        raise InvalidRequest(
+            f"A request may carry {max_loads} loads; send the others in further requests.",
+            field="loads",
+            expected=f"at most {max_loads}",
+            actual=len(body.loads),
+        )
+    has_depth = body.depth is not None or "depth" in (files or {})
+    if has_depth == (body.shape is not None):
+        raise InvalidRequest(
+            "Send either `depth`, one depth image, or `shape`, a known geometry.",
+            field="depth",
+            expected="exactly one of depth and shape",
+            actual="both" if has_depth else "neither",
+        )
+    return DeformRequest(
+        source=_known_shape(body, body.shape, files) if body.shape else _observation(body, files),
+        material=_material(body.material),
+        loads=tuple(_load(load, f"loads[{index}]", has_depth) for index, load in enumerate(body.loads)),
+        outputs=frozenset(body.outputs),
+        threshold=body.threshold,
+        uncertainty_samples=body.uncertainty_samples,
+    )
+
+
+def _observation(body: DeformBody, files: Mapping[str, bytes] | None) -> Observation:
+    if body.camera is None:
+        raise InvalidRequest("`camera` is missing: a depth image has no scale without it.", field="camera")
+    camera = body.camera
+    intrinsics = make_intrinsics(
+        camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height, camera.distortion
+    )
+    depth_data = _image_bytes("depth", body.depth.data if body.depth else None, files)
+    if body.depth is not None:
+        depth = EncodedImage(body.depth.encoding, depth_data, body.depth.unit_m)
+    else:
+        depth = EncodedImage(_guess_encoding(depth_data), depth_data)
+    mask = None
+    if body.mask is not None or "mask" in (files or {}):
+        encoding = body.mask.encoding if body.mask else "png8"
+        mask = EncodedImage(encoding, _image_bytes("mask", body.mask.data if body.mask else None, files))
+    up = None if body.up is None else parse_up(body.up)
+    return Observation(intrinsics, depth, mask, up, body.roi)
+
+
+def _guess_encoding(data: bytes) -> str:
+    """Of a depth file that came without one; files of these two kinds say it themselves."""
+    if data.startswith(_PNG_SIGNATURE):
+        return "png16"
+    if data.startswith(_NPY_SIGNATURE):
+        return "npy"
+    raise InvalidFrame(
+        "The depth file is neither PNG nor NumPy; name its encoding in `depth.encoding` of the `request` part.",
+        field="depth.encoding",
+    )
+
+
+def _image_bytes(name: str, data: str | None, files: Mapping[str, bytes] | None) -> bytes:
+    if files is None:
+        if data is None:
+            raise InvalidRequest(f"`{name}.data` is missing.", field=f"{name}.data", expected="base64")
+        return _decode_base64(data, f"{name}.data")
+    if data is not None:
+        raise InvalidRequest(
+            f"In a multipart request the image is the file part `{name}`, not `{name}.data`.", field=f"{name}.data"
+        )
+    if name not in files:
+        raise InvalidRequest(f"The file part `{name}` is missing.", field=name, expected="a file part")
+    return files[name]
+
+
+def _decode_base64(text: str, field: str) -> bytes:
+    try:
+        return binascii.a2b_base64(text, strict_mode=True)
+    except (binascii.Error, ValueError):
+        pass
+    # Encoders of e-mail wrap lines; nothing else outside the alphabet is forgiven.
+    try:
+        return binascii.a2b_base64("".join(text.split()), strict_mode=True)
+    except (binascii.Error, ValueError) as error:
+        raise InvalidRequest(
+            f"`{field}` is not base64 (RFC 4648 section 4, with padding): {error}.",
+            field=field,
+            expected="base64",
+            actual=f"a string of {len(text)} characters",
+        ) from None
+
+
+def _known_shape(body: DeformBody, shape: ShapeBody, files: Mapping[str, bytes] | None) -> KnownShape:
+    if body.mask is not None or files:
+        raise InvalidRequest("A known shape takes no mask and no files.", field="mask")
+    data = _decode_base64(shape.data, "shape.data")
+    if len(data) != SHAPE_BYTES:
+        raise InvalidShape(
+            "The shape must be 64³ voxels of one bit each.",
+            field="shape.data",
+            expected=f"{SHAPE_BYTES} bytes",
+            actual=len(data),
+        )
+    if not (np.isfinite(shape.voxel_size_m) and shape.voxel_size_m > 0.0):
+        raise InvalidShape(
+            "The voxel size must be a positive number of metres.",
+            field="shape.voxel_size_m",
+            expected="finite, > 0",
+            actual=str(shape.voxel_size_m),
+        )
+    transform = _rigid(np.array(shape.camera_from_grid, np.float64), "shape.camera_from_grid")
+    return KnownShape(data, shape.voxel_size_m, transform, None if body.up is None else parse_up(body.up))
+
+
+def _rigid(transform: Transform, field: str) -> Transform:
+    rotation = transform[:3, :3]
+    with np.errstate(all="ignore"):
+        deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        proper = float(np.linalg.det(rotation)) > 0.0 if np.isfinite(rotation).all() else False
+    last_row = np.array_equal(transform[3], (0.0, 0.0, 0.0, 1.0))
+    if not (np.isfinite(transform).all() and deviation < RIGID_TOLERANCE and proper and last_row):
+        raise InvalidShape(
+            "The pose must be a rigid transform: a right-handed rotation, a translation and the last row 0 0 0 1.",
+            field=field,
+            expected=f"RᵀR within {RIGID_TOLERANCE} of the identity",
+            actual=f"off by {deviation:.3g}" if last_row and proper else "not a pose",
+        )
+    return transform
+
+
+def _material(body: MaterialBody) -> Material:
+    numbers = (body.young_modulus_pa, body.poisson_ratio)
+    if body.name is not None:
+        if numbers != (None, None):
+            raise InvalidRequest(
+                "Give the material either by its name or by its numbers.", field="material", expected="one of the two"
+            )
+        return material_named(body.name)
+    if body.young_modulus_pa is None or body.poisson_ratio is None:
+        missing = "young_modulus_pa" if body.young_modulus_pa is None else "poisson_ratio"
+        raise InvalidRequest(
+            f"`material.{missing}` is missing: a material is a name or both numbers.", field=f"material.{missing}"
+        )
+    return material(body.young_modulus_pa, body.poisson_ratio)
+
+
+def _load(body: LoadBody, field: str, has_depth: bool) -> Load:
+    if (body.contact_m is None) == (body.contact_px is None):
+        raise InvalidRequest(
+            "A load has its contact either in metres or as a pixel.",
+            field=field,
+            expected="exactly one of contact_m and contact_px",
+            actual="neither" if body.contact_m is None else "both",
+        )
+    if body.contact_px is not None and not has_depth:
+        raise InvalidRequest(
+            "Without a depth image a pixel names no place; send `contact_m`.", field=f"{field}.contact_px"
+        )
+    contact_m = None if body.contact_m is None else _vector(body.contact_m)
+    return Load(_vector(body.force_n), contact_m, body.contact_px, body.patch_radius_m)
+
+
+def _vector(components: tuple[float, float, float]) -> Vector3:
+    return np.array(components, np.float64)
+
+
+# --- replies ----------------------------------------------------------------------------------------------------
+
+
+def reply_document(result: DeformResult, outputs: frozenset[str], request_id: str) -> dict[str, Any]:
+    """The reply as in `service.api.schemas.DeformReply`, but for `timing_ms`, which ends with the encoding itself."""
+    grid = result.grid
+    document: dict[str, Any] = {
+        "request_id": request_id,
+        "model": {"name": result.model_name, "version": result.model_version},
+        "grid": {
+            "shape": [GRID_SIZE] * 3,
+            "voxel_size_m": grid.pitch_m,
+            "camera_from_grid": grid.camera_from_grid.tolist(),
+        },
+    }
+    if "reconstruction" in outputs:
+        if result.observed is not None:
+            document["observed"] = _bits(result.observed)
+        document["reconstruction"] = _bits(result.reconstruction)
+        if "probability" in outputs:
+            document["reconstruction_probability"] = _probability(result.reconstruction_probability)
+    document["loads"] = [_load_document(load, outputs) for load in result.loads]
+    document["flags"] = sorted(result.flags)
+    return document
+
+
+def _load_document(load: LoadResult, outputs: frozenset[str]) -> dict[str, Any]:
+    document: dict[str, Any] = {}
+    if "deformed" in outputs:
+        document["deformed"] = _bits(load.deformed)
+    if "probability" in outputs:
+        document["probability"] = _probability(load.probability)
+    if "displacement" in outputs:
+        field = load.displacement_m.astype("<f2")
+        document["displacement"] = {"encoding": "float16", "shape": list(field.shape), "data": _base64(field)}
+    document["max_displacement_m"] = load.max_displacement_m
+    document["mean_displacement_m"] = load.mean_displacement_m
+    document["load_number"] = load.load_number
+    document["flags"] = sorted(load.flags)
+    return document
+
+
+def _bits(occupancy: Occupancy) -> dict[str, Any]:
+    return {"encoding": "bits", "data": _base64(pack_bits(occupancy))}
+
+
+def _probability(probability: np.ndarray) -> dict[str, Any]:
+    levels = np.rint(probability * np.float32(255.0)).astype(np.uint8)
+    return {"encoding": "uint8", "shape": list(levels.shape), "data": _base64(levels)}
+
+
+def _base64(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).data).decode("ascii")
+
+
+def reply_json(document: Mapping[str, Any], timing_ms: Mapping[str, float]) -> bytes:
+    """The document with its timings as UTF-8 JSON."""
+    return to_json({**document, "timing_ms": timing_ms}, inf_nan_mode="null")
+
+
+def reply_npz(
+    result: DeformResult, outputs: frozenset[str], request_id: str, timing_ms: Mapping[str, float]
+) -> bytes:
+    """The same as arrays of a NumPy archive, loads stacked along the first axis.
+
+    `voxel_size_m` and `camera_from_grid`; where asked for `observed`, `reconstruction` (bool 64³), `deformed`
+    (bool n×64³), `reconstruction_probability` and `probability` (float16), `displacement_m` (float16 n×3×64³);
+    `max_displacement_m`, `mean_displacement_m`, `load_number` (n); the rest as JSON in the string `meta`.
+    """
+    meta = {
+        "request_id": request_id,
+        "model": {"name": result.model_name, "version": result.model_version},
+        "flags": sorted(result.flags),
+        "load_flags": [sorted(load.flags) for load in result.loads],
+        "timing_ms": timing_ms,
+    }
+    arrays: dict[str, np.ndarray] = {
+        "meta": np.array(json.dumps(meta)),
+        "voxel_size_m": np.array(result.grid.pitch_m),
+        "camera_from_grid": result.grid.camera_from_grid,
+        "max_displacement_m": np.array([load.max_displacement_m for load in result.loads]),
+        "mean_displacement_m": np.array([load.mean_displacement_m for load in result.loads]),
+        "load_number": np.array([load.load_number for load in result.loads]),
+    }
+    if "reconstruction" in outputs:
+        if result.observed is not None:
+            arrays["observed"] = result.observed
+        arrays["reconstruction"] = result.reconstruction
+        if "probability" in outputs:
+            arrays["reconstruction_probability"] = result.reconstruction_probability.astype(np.float16)
+    if "deformed" in outputs:
+        arrays["deformed"] = np.stack([load.deformed for load in result.loads])
+    if "probability" in outputs:
+        arrays["probability"] = np.stack([load.probability.astype(np.float16) for load in result.loads])
+    if "displacement" in outputs:
+        arrays["displacement_m"] = np.stack([load.displacement_m.astype(np.float16) for load in result.loads])
+    return _npz(arrays)
+
+
+def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """A NumPy archive at the fastest compression: occupancy shrinks 50-fold at it, and zlib's default costs 5 times."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w") as member:
+                np.lib.format.write_array(member, array, allow_pickle=False)
+    return buffer.getvalue()

@@ -1,0 +1,54 @@
+"""The one way to an answer: every wire translates, then calls this."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from pydantic import BaseModel
+
+from service.api.metrics import Metrics
+from service.core.errors import Overloaded
+from service.core.messages import DeformRequest
+from service.scheduler import Answer, Scheduler
+
+
+class Handler:
+    """Exists before the models do, so that a wire can say that it is not ready yet."""
+
+    def __init__(self) -> None:
+        self.metrics = Metrics(lambda: self._scheduler.queue_depth if self._scheduler else 0)
+        self._scheduler: Scheduler | None = None
+        self._manifests: tuple[BaseModel, ...] = ()
+
+    @property
+    def ready(self) -> bool:
+        """Whether the models are loaded and warmed up."""
+        return self._scheduler is not None
+
+    @property
+    def manifests(self) -> tuple[BaseModel, ...]:
+        """Manifests of the models served; none before they are loaded."""
+        return self._manifests
+
+    def open(self, scheduler: Scheduler, manifests: Sequence[BaseModel]) -> None:
+        """From here on requests are answered."""
+        self._scheduler = scheduler
+        self._manifests = tuple(manifests)
+        self.metrics.ready({str(getattr(m, "name", "")): str(getattr(m, "version", "")) for m in manifests})
+
+    async def deform(self, request: DeformRequest, deadline: float) -> Answer:
+        """Answer one request; see `Scheduler.submit`.
+
+        Raises:
+            Overloaded: The models are still being loaded, or the queue is full.
+            PhysNetError: What the scheduler or the predictor raises.
+        """
+        if self._scheduler is None:
+            raise Overloaded("The models are still being loaded; try again in a second.", retry_after_s=1.0)
+        return await self._scheduler.submit(request, deadline)
+
+    async def close(self, grace_s: float) -> None:
+        """Answer what was accepted, for up to `grace_s` seconds, and refuse the rest."""
+        scheduler, self._scheduler = self._scheduler, None
+        if scheduler is not None:
+            await scheduler.close(grace_s)

@@ -1,0 +1,150 @@
+"""Composition root: builds everything from the settings, serves it, and takes it down in order."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import signal
+import socket
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import uvicorn
+from pydantic import BaseModel
+
+from service.api.handler import Handler
+from service.api.rest import create_http
+from service.scheduler import Predictor, Scheduler
+from service.settings import Settings
+
+log = logging.getLogger(__name__)
+
+KEEP_ALIVE_S = 75
+"""A robot that asks once a minute keeps its connection."""
+
+
+@dataclass(frozen=True)
+class Served:
+    """What answers requests, warmed up, and the manifests of its models."""
+
+    predictor: Predictor
+    manifests: Sequence[BaseModel]
+
+
+def build_pipeline(settings: Settings) -> Served:
+    """Load and warm up the models and put the pipeline on them.
+
+    Raises:
+        ModelMismatch: An artefact is missing or does not fit its manifest or this service.
+    """
+    # Imported here, beside the event loop: ONNX Runtime's import costs longer than all the rest of the start, and
+    # `/healthz` answers meanwhile.
+    from service.core.limits import FrameLimits
+    from service.inference.registry import load_models
+    from service.pipeline import Pipeline
+
+    models = load_models(settings.models, settings.threads)
+    models.warm_up()
+    limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
+    return Served(Pipeline(models.reconstruction, models.deformation, limits), models.manifests)
+
+
+class _Server(uvicorn.Server):
+    """Leaves signals to us: uvicorn raises them again on its way out, and a stopped service is no failure."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+
+async def serve(
+    settings: Settings,
+    build: Callable[[Settings], Served] = build_pipeline,
+    stop: asyncio.Event | None = None,
+    announce: Callable[[str], None] = print,
+) -> int:
+    """Serve until SIGTERM or SIGINT (or `stop`).
+
+    Args:
+        settings: All there is to choose.
+        build: What makes the predictor; runs beside the event loop, so that `/healthz` answers meanwhile.
+        stop: Ends the service when set, in place of a signal.
+        announce: Called once with the ready line when requests are answered.
+
+    Returns:
+        Exit code: 0 after a stop that was asked for, 1 where the models could not be loaded.
+    """
+    stop = stop or asyncio.Event()
+    _stop_on_signals(stop)
+    handler = Handler()
+    listener = _listen(settings.host, settings.http_port)
+    server = _Server(
+        uvicorn.Config(
+            create_http(handler, settings),
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            timeout_keep_alive=KEEP_ALIVE_S,
+            timeout_graceful_shutdown=max(1, round(settings.shutdown_grace_s)),
+        )
+    )
+    serving = asyncio.create_task(server.serve(sockets=[listener]))
+    stopped = asyncio.create_task(stop.wait())
+    loading = asyncio.create_task(asyncio.to_thread(build, settings))
+    try:
+        await asyncio.wait({loading, stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
+        if loading.done():
+            served = loading.result()
+            handler.open(Scheduler(served.predictor, settings.queue_size), served.manifests)
+            host, port = listener.getsockname()[:2]
+            announce(f"ready http={f'[{host}]' if ':' in host else host}:{port} grpc=off")
+            await asyncio.wait({stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
+        return 0
+    except Exception as error:
+        log.error("the models could not be loaded: %s", error, exc_info=log.isEnabledFor(logging.DEBUG))
+        return 1
+    finally:
+        log.info("stopping")
+        # First the queue, so that its replies still find their connections; then the connections.
+        await handler.close(settings.shutdown_grace_s)
+        server.should_exit = True
+        await serving
+        stopped.cancel()
+
+
+def _stop_on_signals(stop: asyncio.Event) -> None:
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        # Only the main thread may take signals; tests serve from another one and set `stop` themselves.
+        with contextlib.suppress(ValueError, RuntimeError, NotImplementedError):
+            loop.add_signal_handler(number, stop.set)
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    return socket.create_server((host, port), family=family, backlog=256)
+
+
+def run(settings: Settings) -> int:
+    """`serve` on the fastest event loop there is, logging to stderr."""
+    logging.basicConfig(
+        stream=sys.stderr, level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s %(message)s"
+    )
+    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+        return runner.run(serve(settings, announce=_announce))
+
+
+def _announce(line: str) -> None:
+    # Whoever started us waits for this line on a pipe, which Python would otherwise hold back.
+    print(line, flush=True)
+
+
+def _loop_factory() -> Callable[[], asyncio.AbstractEventLoop]:
+    try:
+        import uvloop
+    except ImportError:
+        return asyncio.new_event_loop
+    return uvloop.new_event_loop

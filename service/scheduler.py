@@ -1,0 +1,188 @@
+"""A bounded queue in front of one worker thread: inference neither blocks the event loop nor competes with itself.
+
+Two requests at once on the same cores finish later than one after the other, so there is one worker. What cannot be
+answered in time is refused before it costs anything: when the queue is full, and when the deadline has passed by the
+time the worker would start.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+from service.core.errors import DeadlineExceeded, Overloaded
+from service.core.messages import DeformRequest, DeformResult
+
+log = logging.getLogger(__name__)
+
+FIRST_GUESS_S = 0.05
+"""Time of one prediction, assumed until one has been measured."""
+
+SMOOTHING = 0.2
+"""Weight of the newest prediction in the running mean: follows a change of load within about five requests."""
+
+
+class Predictor(Protocol):
+    """What the worker runs: `service.pipeline.Pipeline`."""
+
+    def predict(self, request: DeformRequest) -> DeformResult:
+        """Answer one request, in the worker thread; raises errors of `service.core.errors`."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Attributes:
+    result: What the predictor returned.
+    queued_s: How long the request waited for the worker.
+    """
+
+    result: DeformResult
+    queued_s: float
+
+
+class _Job:
+    def __init__(self, request: DeformRequest, deadline: float, loop: asyncio.AbstractEventLoop) -> None:
+        self.request = request
+        self.deadline = deadline
+        self.loop = loop
+        self.future: asyncio.Future[Answer] = loop.create_future()
+        self.submitted = time.monotonic()
+
+    def settle(self, outcome: Answer | BaseException) -> None:
+        """Hand the outcome to the event loop; nobody may be waiting for it any more."""
+        try:
+            self.loop.call_soon_threadsafe(self._settle_here, outcome)
+        except RuntimeError:
+            log.debug("the event loop closed before a reply was ready")
+
+    def _settle_here(self, outcome: Answer | BaseException) -> None:
+        if self.future.done():
+            return
+        if isinstance(outcome, BaseException):
+            self.future.set_exception(outcome)
+        else:
+            self.future.set_result(outcome)
+
+
+class Scheduler:
+    """First come, first served, by one dedicated thread.
+
+    Args:
+        predictor: Runs in the worker thread only.
+        queue_size: Requests that may wait; the one being answered does not count.
+    """
+
+    def __init__(self, predictor: Predictor, queue_size: int) -> None:
+        self._predictor = predictor
+        self._queue_size = queue_size
+        self._waiting: deque[_Job] = deque()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._busy = False
+        self._mean_s = FIRST_GUESS_S
+        self._thread = threading.Thread(target=self._work, name="inference", daemon=True)
+        self._thread.start()
+
+    @property
+    def queue_depth(self) -> int:
+        """Requests that wait for the worker."""
+        return len(self._waiting)
+
+    async def submit(self, request: DeformRequest, deadline: float) -> Answer:
+        """Answer a request. Cancelling the caller frees its place in the queue at once.
+
+        Args:
+            request: What to predict.
+            deadline: Time of `time.monotonic()` at which inference must have started.
+
+        Raises:
+            Overloaded: The queue is full or the service is shutting down.
+            DeadlineExceeded: The deadline passed before inference.
+            PhysNetError: What the predictor found wrong with the request.
+        """
+        job = _Job(request, deadline, asyncio.get_running_loop())
+        if job.submitted >= deadline:
+            raise _too_late(0.0)
+        with self._changed:
+            if self._closed:
+                raise Overloaded("The service is shutting down; try another one.", retry_after_s=1.0)
+            waiting = len(self._waiting)
+            if waiting >= self._queue_size:
+                retry_after_s = self._mean_s * (waiting + 1)
+                raise Overloaded(
+                    f"{waiting} requests are waiting already; try again in {retry_after_s:.2f} s.",
+                    retry_after_s=retry_after_s,
+                )
+            self._waiting.append(job)
+            self._changed.notify()
+        try:
+            return await job.future
+        finally:
+            self._forget(job)
+
+    def _forget(self, job: _Job) -> None:
+        with self._changed:
+            if job in self._waiting:
+                self._waiting.remove(job)
+                self._changed.notify_all()
+
+    async def close(self, grace_s: float) -> None:
+        """Take nothing more in, answer what is waiting for up to `grace_s` seconds and refuse the rest."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        await asyncio.to_thread(self._drain, grace_s)
+
+    def _drain(self, grace_s: float) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._waiting and not self._busy, timeout=grace_s)
+            left = list(self._waiting)
+            self._waiting.clear()
+            self._changed.notify_all()
+        for job in left:
+            job.settle(Overloaded("The service is shutting down; try another one.", retry_after_s=1.0))
+        # A prediction cannot be interrupted; the thread is a daemon, so a stuck one does not hold up the exit.
+        self._thread.join(timeout=1.0)
+
+    def _work(self) -> None:
+        while (job := self._next()) is not None:
+            started = time.monotonic()
+            outcome = self._outcome(job, started)
+            finished = time.monotonic()
+            # The place is free before the caller hears of it, so that its next request finds it so.
+            with self._changed:
+                self._busy = False
+                if isinstance(outcome, Answer):
+                    self._mean_s += SMOOTHING * (finished - started - self._mean_s)
+                self._changed.notify_all()
+            job.settle(outcome)
+
+    def _next(self) -> _Job | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._closed)
+            if not self._waiting:
+                return None
+            self._busy = True
+            return self._waiting.popleft()
+
+    def _outcome(self, job: _Job, started: float) -> Answer | BaseException:
+        if job.future.cancelled():
+            return asyncio.CancelledError()
+        if started >= job.deadline:
+            return _too_late(started - job.submitted)
+        # Whatever one request provokes is that request's answer: the worker must live for the next one.
+        try:
+            return Answer(self._predictor.predict(job.request), started - job.submitted)
+        except BaseException as error:
+            return error
+
+
+def _too_late(waited_s: float) -> DeadlineExceeded:
+    return DeadlineExceeded(
+        f"The deadline passed before inference, after {1e3 * waited_s:.0f} ms in the queue; nothing was computed."
+    )
