@@ -38,6 +38,12 @@ def _simulate(options: argparse.Namespace) -> int:
         config = EverydayConfig(seed=options.seed)
         draw = functools.partial(draw_group, config)
         configuration = {"set": "everyday", "groups": options.groups, **dataclasses.asdict(config)}
+    else:
+        from training.data import views
+
+        views_config = views.ViewsConfig(seed=options.seed)
+        draw = functools.partial(views.draw_group, views_config)
+        configuration = {"set": "views", "groups": options.groups, **dataclasses.asdict(views_config)}
     manifest = fill(Store(options.out), draw, range(options.groups), options.workers, configuration)
     print(f"{manifest['samples']} samples in {manifest['groups']} groups, dropped {manifest['dropped']}", file=sys.stderr)
     return 0

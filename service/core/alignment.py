@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32
 
-from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability
+from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.errors import EmptyObject
 from service.core.grids import Grid, invert_rigid
 
@@ -16,23 +16,30 @@ VERTICAL_FILL = 0.74
 """The same for its height; the body stands on the floor of the grid, so all the room is above it."""
 
 
-def body_grid(occupancy: Occupancy, grid: Grid) -> Grid:
-    """Align a body whose grid has z up and its floor on the support plane.
+def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_floor: bool = True) -> Grid:
+    """Align a body that stands on its support.
 
-    x is the axis of largest variance of the body's horizontal shape, its sign such that the third moment along x is
-    not negative; y completes a right-handed frame with z up. The body is centred in x and y and scaled to fill
-    `HORIZONTAL_FILL` or `VERTICAL_FILL` of the grid, whichever binds first.
+    z points against gravity. x is the axis of largest variance of the body's horizontal shape, its sign such that the
+    third moment along x is not negative; y completes a right-handed frame. The body is centred in x and y and scaled
+    to fill `HORIZONTAL_FILL` or `VERTICAL_FILL` of the grid, whichever binds first.
+
+    Args:
+        occupancy: The body.
+        grid: Where its voxels are.
+        up: Direction against gravity in the camera frame; None for the z axis of `grid`.
+        on_floor: Whether the floor of `grid` is the support plane; else the body's lowest voxel stands on it.
 
     Raises:
         EmptyObject: No voxel is occupied.
     """
     centres = _occupied_centres(occupancy, grid)
-    horizontal = centres[:, :2] - centres[:, :2].mean(axis=0)
-    x = _principal_axis(horizontal)
-    rotation = np.eye(3)
-    rotation[:2, 0] = x
-    rotation[:2, 1] = [-x[1], x[0]]
-    return _enclosing_grid(centres, grid, rotation, floor=0.0)
+    grid_from_upright = np.eye(3)
+    if up is not None:
+        grid_from_upright = _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
+    upright = centres @ grid_from_upright.astype(np.float32)
+    x = _principal_axis(upright[:, :2] - upright[:, :2].mean(axis=0))
+    upright_from_body = np.array([[x[0], -x[1], 0.0], [x[1], x[0], 0.0], [0.0, 0.0, 1.0]])
+    return _enclosing_grid(centres, grid, grid_from_upright @ upright_from_body, on_floor)
 
 
 def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
@@ -52,7 +59,7 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
     x = axes[:, max(i for i in range(3) if i != nearest)]
     x = x * _third_moment_sign(centred @ x)
     rotation = np.stack([x, np.cross(z, x), z], axis=1)
-    return _enclosing_grid(centres, grid, rotation, floor=None)
+    return _enclosing_grid(centres, grid, rotation, on_floor=False)
 
 
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
@@ -106,15 +113,24 @@ def _third_moment_sign(coordinate: Float32[np.ndarray, "n"]) -> float:
     return 1.0 if float((coordinate.astype(np.float64) ** 3).sum()) >= 0 else -1.0
 
 
+def _rotation_with_z(z: Vector3) -> Matrix3:
+    """Some rotation whose third column is z."""
+    z = z / np.linalg.norm(z)
+    helper = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = helper - (helper @ z) * z
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
 def _enclosing_grid(
-    centres: Float32[np.ndarray, "n 3"], grid: Grid, source_from_body: Matrix3, floor: float | None
+    centres: Float32[np.ndarray, "n 3"], grid: Grid, source_from_body: Matrix3, on_floor: bool
 ) -> Grid:
-    """Cube around the occupied voxels, axes as given; `floor` is its lowest z in the source grid's frame."""
+    """Cube around the occupied voxels with the given axes, its bottom on the source's floor or the lowest voxel."""
     local = centres @ source_from_body.astype(np.float32)
     half = grid.pitch_m / 2
     low, high = local.min(axis=0).astype(np.float64) - half, local.max(axis=0).astype(np.float64) + half
-    if floor is not None:
-        low[2] = floor
+    if on_floor:
+        low[2] = 0.0
     extent = high - low
     edge_m = float(max(extent[0] / HORIZONTAL_FILL, extent[1] / HORIZONTAL_FILL, extent[2] / VERTICAL_FILL))
     corner = np.array([(low[0] + high[0] - edge_m) / 2, (low[1] + high[1] - edge_m) / 2, low[2]])

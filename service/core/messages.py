@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float32
@@ -11,6 +12,10 @@ from service.core.arrays import Occupancy, Probability, Transform, Vector3
 from service.core.camera import Intrinsics
 from service.core.grids import Grid
 from service.core.materials import Material
+
+
+Displacement: TypeAlias = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
+"""A vector at each voxel, in grid axes."""
 
 
 @dataclass(frozen=True)
@@ -112,7 +117,7 @@ class LoadResult:
 
     deformed: Occupancy
     probability: Probability
-    displacement_m: Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
+    displacement_m: Displacement
     max_displacement_m: float
     mean_displacement_m: float
     load_number: float

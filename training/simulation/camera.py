@@ -15,6 +15,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from service.core.arrays import DepthImage, Mask, Points, Transform
+from service.core.camera import Intrinsics
 from service.core.grids import invert_rigid
 from training.simulation.shapes import Bounds, Shape
 
@@ -33,18 +34,6 @@ COARSE = 4
 """Block of pixels marched as one cone before each pixel gets its own ray."""
 FARTHEST_M = 6.0
 """Readings beyond this range are dropped, as depth cameras do."""
-
-
-@dataclass(frozen=True)
-class Intrinsics:
-    """A pinhole camera without distortion, in pixels."""
-
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    width: int
-    height: int
 
 
 class Rendering(NamedTuple):

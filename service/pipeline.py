@@ -1,0 +1,259 @@
+"""One page: from a frame to what the object will look like when pushed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import numpy as np
+
+from service.core.alignment import body_grid, body_grid_free, resample
+from service.core.arrays import DepthImage, Occupancy, Probability, Vector3
+from service.core.camera import Intrinsics, pixel_to_point
+from service.core.condition import POISSON_RATIO_MAX, Condition, encode_condition, load_number
+from service.core.contact import snap_contact
+from service.core.depth import decode_depth, decode_mask
+from service.core.errors import InvalidRequest
+from service.core.grids import Grid
+from service.core.limits import DEFAULT_LIMITS, FrameLimits
+from service.core.materials import Material
+from service.core.messages import DeformRequest, DeformResult, Displacement, KnownShape, Load, LoadResult, Observation
+from service.core.segmentation import segment
+from service.core.shapes import decode_shape
+from service.core.voxels import voxelize, voxelize_points
+from service.inference.deformation import DeformationModel
+from service.inference.reconstruction import ReconstructionModel
+
+KNOWN_SHAPE_THRESHOLD = 0.5
+"""A known shape is binary: half-way is its surface whatever the networks' thresholds are."""
+
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
+"""Stands in for `up` where neither a plane nor the robot tells: the top of the image."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """The object before the push, in its body grid.
+
+    Attributes:
+        grid: The body grid, which every grid of the reply shares.
+        observed: Voxels with a measured point; None for a known shape.
+        probability: Occupancy probability.
+        occupancy: The body.
+        flags: What the robot should know about it.
+    """
+
+    grid: Grid
+    observed: Occupancy | None
+    probability: Probability
+    occupancy: Occupancy
+    flags: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Question:
+    """One load, ready for the network.
+
+    Attributes:
+        condition: None for a zero force, which moves nothing.
+        load_number: F/(E L²).
+        flags: What the robot should know about the answer.
+    """
+
+    condition: Condition | None
+    load_number: float
+    flags: frozenset[str]
+
+
+class Stopwatch:
+    """Wall time of each stage."""
+
+    def __init__(self) -> None:
+        self.timing_ms: dict[str, float] = {}
+        self._started = time.perf_counter()
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        started = time.perf_counter()
+        yield
+        self.timing_ms[name] = self.timing_ms.get(name, 0.0) + (time.perf_counter() - started) * 1e3
+
+    def finish(self) -> dict[str, float]:
+        return {**self.timing_ms, "total": (time.perf_counter() - self._started) * 1e3}
+
+
+class Pipeline:
+    """Decode, segment, voxelize, reconstruct, align, encode the condition, deform.
+
+    Args:
+        reconstruction: From a view to a full shape.
+        deformation: From a full shape and loads to deformed shapes.
+        limits: What is decoded at all.
+    """
+
+    def __init__(
+        self, reconstruction: ReconstructionModel, deformation: DeformationModel, limits: FrameLimits = DEFAULT_LIMITS
+    ) -> None:
+        self._reconstruction = reconstruction
+        self._deformation = deformation
+        self._limits = limits
+
+    def predict(self, request: DeformRequest) -> DeformResult:
+        """Answer one request.
+
+        Raises:
+            PhysNetError: A leaf of the tree in `service.core.errors`, naming the field at fault.
+        """
+        watch = Stopwatch()
+        if isinstance(request.source, KnownShape):
+            body, contacts = self._place(request.source, request.loads, watch)
+        else:
+            body, contacts = self._reconstruct(request.source, request.loads, request.threshold, watch)
+        loads = self._deform(body, contacts, request, watch)
+        manifest = self._deformation.manifest
+        return DeformResult(
+            grid=body.grid,
+            observed=body.observed,
+            reconstruction=body.occupancy,
+            reconstruction_probability=body.probability,
+            loads=loads,
+            flags=body.flags,
+            model_name=manifest.name,
+            model_version=manifest.version,
+            timing_ms=watch.finish(),
+        )
+
+    def _reconstruct(
+        self, source: Observation, loads: tuple[Load, ...], threshold: float | None, watch: Stopwatch
+    ) -> tuple[Body, list[Vector3]]:
+        """From one depth frame to a full body in its body grid, and the contacts in the camera frame."""
+        camera = source.intrinsics
+        with watch.stage("decode"):
+            depth_m = decode_depth(
+                source.depth.encoding, source.depth.data, source.depth.unit_m, camera.width, camera.height, self._limits
+            )
+            mask = source.mask and decode_mask(
+                source.mask.encoding, source.mask.data, camera.width, camera.height, self._limits
+            )
+        with watch.stage("segment"):
+            contacts = [_contact(load, depth_m, camera, f"loads[{i}].contact_px") for i, load in enumerate(loads)]
+            found = segment(
+                depth_m, camera, mask, source.up, contact_m=contacts[0] if contacts else None, roi=source.roi
+            )
+        with watch.stage("voxelize"):
+            up = IMAGE_UP if found.up is None else found.up
+            offset_m = found.support.offset_m if found.support else -float((found.points @ up.astype(np.float32)).min())
+            view = voxelize(found.points, depth_m, camera, up, offset_m)
+        with watch.stage("reconstruct"):
+            seen = self._reconstruction(view)
+        with watch.stage("align"):
+            cut = self._reconstruction.manifest.threshold if threshold is None else threshold
+            align = body_grid if found.support else body_grid_free
+            grid = align(seen > cut, view.grid)
+            probability = resample(seen, view.grid, grid)
+            observed = voxelize_points(found.points, grid)
+            # Trilinear lookup thins what is one voxel thick; what was measured stays.
+            np.maximum(probability, observed, out=probability)
+            occupancy = probability > cut
+        return Body(grid, observed, probability, occupancy, found.flags), contacts
+
+    def _place(
+        self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch
+    ) -> tuple[Body, list[Vector3]]:
+        """A known shape in its body grid, and the contacts in the camera frame."""
+        contacts = []
+        for i, load in enumerate(loads):
+            if load.contact_m is None:
+                raise InvalidRequest(
+                    "A known shape comes without an image: give the contact in metres.",
+                    field=f"loads[{i}].contact_px", expected="contact_m",
+                )  # fmt: skip
+            contacts.append(load.contact_m)
+        with watch.stage("decode"):
+            given, given_grid = decode_shape(source)
+        with watch.stage("align"):
+            grid = body_grid(given, given_grid, up=source.up, on_floor=False)
+            probability = resample(given.astype(np.float32), given_grid, grid)
+        return Body(grid, None, probability, probability > KNOWN_SHAPE_THRESHOLD, frozenset()), contacts
+
+    def _deform(
+        self, body: Body, contacts: list[Vector3], request: DeformRequest, watch: Stopwatch
+    ) -> tuple[LoadResult, ...]:
+        """Every load on its own, all in one batch of the network."""
+        with watch.stage("deform"):
+            questions = [
+                self._question(body, load, contact, request.material, f"loads[{i}]")
+                for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))
+            ]
+            conditions = [question.condition for question in questions if question.condition is not None]
+            answers: Iterator[tuple[Probability, Displacement]] = iter(())
+            if conditions:
+                deformation = self._deformation(body.occupancy, conditions, request.uncertainty_samples)
+                answers = iter(zip(deformation.probability, deformation.displacement, strict=True))
+            threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
+            return tuple(
+                _unmoved(body, question) if question.condition is None else _moved(body, question, *next(answers), threshold)
+                for question in questions
+            )
+
+    def _question(self, body: Body, load: Load, contact_m: Vector3, material: Material, field: str) -> Question:
+        """Where the load meets the body, and the condition in its grid."""
+        contact_m, snapped = snap_contact(contact_m, body.occupancy, body.grid, f"{field}.contact_m")
+        flags = {"contact_snapped"} if snapped else set()
+        if material.poisson_ratio > POISSON_RATIO_MAX:
+            flags.add("poisson_ratio_clamped")
+        force_n = float(np.linalg.norm(load.force_n))
+        if force_n == 0.0:
+            return Question(None, 0.0, frozenset(flags))
+        condition = encode_condition(
+            body.grid, contact_m, load.force_n, material.young_modulus_pa, material.poisson_ratio, load.patch_radius_m
+        )
+        if self._deformation.outside_training_range(condition):
+            flags.add("outside_training_range")
+        return Question(
+            condition, load_number(force_n, material.young_modulus_pa, body.grid.edge_m), frozenset(flags)
+        )
+
+
+def _contact(load: Load, depth_m: DepthImage, camera: Intrinsics, field: str) -> Vector3:
+    """The contact in the camera frame, looked up in the depth image where it was named by its pixel."""
+    if load.contact_m is not None:
+        return load.contact_m
+    if load.contact_px is None:
+        raise InvalidRequest("A load needs a contact.", field=field, expected="contact_m or contact_px")
+    return pixel_to_point(*load.contact_px, depth_m, camera, field=field)
+
+
+def _unmoved(body: Body, question: Question) -> LoadResult:
+    """The answer to a zero force."""
+    return LoadResult(
+        deformed=body.occupancy,
+        probability=body.probability,
+        displacement_m=np.zeros((3, *body.occupancy.shape), np.float32),
+        max_displacement_m=0.0,
+        mean_displacement_m=0.0,
+        load_number=0.0,
+        flags=question.flags,
+    )
+
+
+def _moved(
+    body: Body, question: Question, probability: Probability, displacement: Displacement, threshold: float
+) -> LoadResult:
+    """The network's answer in metres."""
+    deformed = probability > threshold
+    displacement_m = np.where(deformed, displacement * np.float32(body.grid.edge_m), np.float32(0.0))
+    lengths_m = np.sqrt((displacement_m[:, deformed] ** 2).sum(axis=0))
+    sides = (deformed[[0, -1]], deformed[:, [0, -1]], deformed[:, :, -1])
+    flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())
+    return LoadResult(
+        deformed=deformed,
+        probability=probability,
+        displacement_m=displacement_m,
+        max_displacement_m=float(lengths_m.max(initial=0.0)),
+        mean_displacement_m=float(lengths_m.mean()) if lengths_m.size else 0.0,
+        load_number=question.load_number,
+        flags=flags,
+    )
