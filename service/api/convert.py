@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import io
 import json
 import zipfile
@@ -16,9 +15,9 @@ from pydantic_core import to_json
 
 from service.api.problem import validation_failed
 from service.api.schemas import DeformBody, LoadBody, MaterialBody, ShapeBody
-from service.core.arrays import GRID_SIZE, Occupancy, Transform, Vector3
+from service.core.arrays import GRID_SIZE, Occupancy, Vector3
 from service.core.camera import make_intrinsics, parse_up
-from service.core.errors import InvalidFrame, InvalidRequest, InvalidShape
+from service.core.errors import InvalidFrame, InvalidRequest
 from service.core.grids import pack_bits
 from service.core.materials import Material, material, material_named
 from service.core.messages import (
@@ -30,11 +29,6 @@ from service.core.messages import (
     LoadResult,
     Observation,
 )
-
-SHAPE_BYTES = GRID_SIZE**3 // 8
-
-RIGID_TOLERANCE = 1e-3
-"""Largest deviation of RᵀR from the identity: poses printed with four digits pass, scaled or sheared ones do not."""
 
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NPY_SIGNATURE = b"\x93NUMPY"
@@ -84,7 +78,7 @@ def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] 
     return DeformRequest(
         source=_known_shape(body, body.shape, files) if body.shape else _observation(body, files),
         material=_material(body.material),
-        loads=tuple(_load(load, f"loads[{index}]", has_depth) for index, load in enumerate(body.loads)),
+        loads=tuple(_load(load, f"loads[{index}]") for index, load in enumerate(body.loads)),
         outputs=frozenset(body.outputs),
         threshold=body.threshold,
         uncertainty_samples=body.uncertainty_samples,
@@ -123,11 +117,11 @@ def _guess_encoding(data: bytes) -> str:
     )
 
 
-def _image_bytes(name: str, data: str | None, files: Mapping[str, bytes] | None) -> bytes:
+def _image_bytes(name: str, data: bytes | None, files: Mapping[str, bytes] | None) -> bytes:
     if files is None:
         if data is None:
             raise InvalidRequest(f"`{name}.data` is missing.", field=f"{name}.data", expected="base64")
-        return _decode_base64(data, f"{name}.data")
+        return data
     if data is not None:
         raise InvalidRequest(
             f"In a multipart request the image is the file part `{name}`, not `{name}.data`.", field=f"{name}.data"
@@ -137,59 +131,11 @@ def _image_bytes(name: str, data: str | None, files: Mapping[str, bytes] | None)
     return files[name]
 
 
-def _decode_base64(text: str, field: str) -> bytes:
-    try:
-        return binascii.a2b_base64(text, strict_mode=True)
-    except (binascii.Error, ValueError):
-        pass
-    # Encoders of e-mail wrap lines; nothing else outside the alphabet is forgiven.
-    try:
-        return binascii.a2b_base64("".join(text.split()), strict_mode=True)
-    except (binascii.Error, ValueError) as error:
-        raise InvalidRequest(
-            f"`{field}` is not base64 (RFC 4648 section 4, with padding): {error}.",
-            field=field,
-            expected="base64",
-            actual=f"a string of {len(text)} characters",
-        ) from None
-
-
 def _known_shape(body: DeformBody, shape: ShapeBody, files: Mapping[str, bytes] | None) -> KnownShape:
     if body.mask is not None or files:
         raise InvalidRequest("A known shape takes no mask and no files.", field="mask")
-    data = _decode_base64(shape.data, "shape.data")
-    if len(data) != SHAPE_BYTES:
-        raise InvalidShape(
-            "The shape must be 64³ voxels of one bit each.",
-            field="shape.data",
-            expected=f"{SHAPE_BYTES} bytes",
-            actual=len(data),
-        )
-    if not (np.isfinite(shape.voxel_size_m) and shape.voxel_size_m > 0.0):
-        raise InvalidShape(
-            "The voxel size must be a positive number of metres.",
-            field="shape.voxel_size_m",
-            expected="finite, > 0",
-            actual=str(shape.voxel_size_m),
-        )
-    transform = _rigid(np.array(shape.camera_from_grid, np.float64), "shape.camera_from_grid")
-    return KnownShape(data, shape.voxel_size_m, transform, None if body.up is None else parse_up(body.up))
-
-
-def _rigid(transform: Transform, field: str) -> Transform:
-    rotation = transform[:3, :3]
-    with np.errstate(all="ignore"):
-        deviation = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
-        proper = float(np.linalg.det(rotation)) > 0.0 if np.isfinite(rotation).all() else False
-    last_row = np.array_equal(transform[3], (0.0, 0.0, 0.0, 1.0))
-    if not (np.isfinite(transform).all() and deviation < RIGID_TOLERANCE and proper and last_row):
-        raise InvalidShape(
-            "The pose must be a rigid transform: a right-handed rotation, a translation and the last row 0 0 0 1.",
-            field=field,
-            expected=f"RᵀR within {RIGID_TOLERANCE} of the identity",
-            actual=f"off by {deviation:.3g}" if last_row and proper else "not a pose",
-        )
-    return transform
+    up = None if body.up is None else parse_up(body.up)
+    return KnownShape(shape.data, shape.voxel_size_m, np.array(shape.camera_from_grid, np.float64), up)
 
 
 def _material(body: MaterialBody) -> Material:
@@ -208,17 +154,13 @@ def _material(body: MaterialBody) -> Material:
     return material(body.young_modulus_pa, body.poisson_ratio)
 
 
-def _load(body: LoadBody, field: str, has_depth: bool) -> Load:
+def _load(body: LoadBody, field: str) -> Load:
     if (body.contact_m is None) == (body.contact_px is None):
         raise InvalidRequest(
             "A load has its contact either in metres or as a pixel.",
             field=field,
             expected="exactly one of contact_m and contact_px",
             actual="neither" if body.contact_m is None else "both",
-        )
-    if body.contact_px is not None and not has_depth:
-        raise InvalidRequest(
-            "Without a depth image a pixel names no place; send `contact_m`.", field=f"{field}.contact_px"
         )
     contact_m = None if body.contact_m is None else _vector(body.contact_m)
     return Load(_vector(body.force_n), contact_m, body.contact_px, body.patch_radius_m)

@@ -33,7 +33,9 @@ _ERROR_BELOW: Mapping[str, type[InvalidRequest]] = {
     "mask": InvalidFrame,
     "shape": InvalidShape,
 }
-_FORM_ERRORS = frozenset({"missing", "extra_forbidden", "model_type", "literal_error", "string_type"})
+_FORM_ERRORS = frozenset(
+    {"missing", "extra_forbidden", "model_type", "literal_error", "string_type", "bytes_type", "bytes_invalid_encoding"}
+)
 
 
 class ValidationFailed(Exception):
@@ -74,9 +76,11 @@ def _as_invalid_request(detail: ErrorDetails) -> InvalidRequest:
         return cls(f"`{path}` is missing.", field=path, expected="a value", actual="nothing")
     if kind == "extra_forbidden":
         return cls(f"`{path}` is not a field of this request.", field=path, expected="no such field")
-    message = detail["msg"].removeprefix("Input ").removesuffix(".")
-    expected = message.removeprefix("should be ")
+    # pydantic's messages begin with the kind of thing it wants: "Input should be …", "List should have …".
+    _, _, message = detail["msg"].rstrip(".").partition(" should ")
+    message = f"should {message}" if message else f"is refused: {detail['msg'].rstrip('.')}"
     subject = f"`{path}`" if path else "The request"
+    expected = message.removeprefix("should ").removeprefix("be ")
     return cls(f"{subject} {message}.", field=path, expected=expected, actual=_shown(detail["input"]))
 
 
