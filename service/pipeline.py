@@ -22,7 +22,7 @@ from service.core.materials import Material
 from service.core.messages import DeformRequest, DeformResult, Displacement, KnownShape, Load, LoadResult, Observation
 from service.core.segmentation import segment
 from service.core.shapes import decode_shape
-from service.core.voxels import voxelize, voxelize_points
+from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
 
@@ -151,12 +151,10 @@ class Pipeline:
         with watch.stage("align"):
             cut = self._reconstruction.manifest.threshold if threshold is None else threshold
             align = body_grid if found.support else body_grid_free
-            grid = align(seen > cut, view.grid)
+            grid = align(cover(seen > cut, view.observed), view.grid)
             probability = resample(seen, view.grid, grid)
             observed = voxelize_points(found.points, grid)
-            # Trilinear lookup thins what is one voxel thick; what was measured stays.
-            np.maximum(probability, observed, out=probability)
-            occupancy = probability > cut
+            occupancy = cover(probability > cut, observed)
         return Body(grid, observed, probability, occupancy, found.flags), contacts
 
     def _place(

@@ -78,7 +78,7 @@ def validate(network: ReconstructionNetwork, views: ViewSet, count: int) -> dict
     for part in np.array_split(rows, max(1, len(rows) // 16)):
         batch = views.batch(part)
         observed, free = batch.view[:, 0].numpy() > 0.5, batch.view[:, 1].numpy() > 0.5
-        filled = ((network(batch.view) > 0).numpy() | observed) & ~free
+        filled = (network(batch.view) > 0).numpy() & ~free
         truth = batch.truth.numpy() > 0.5
         ious += [iou(p, t) for p, t in zip(filled, truth, strict=True)]
         seen += [iou(o, t) for o, t in zip(observed, truth, strict=True)]

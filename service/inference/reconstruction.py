@@ -20,11 +20,10 @@ class ReconstructionModel:
     def __call__(self, view: VoxelView) -> Probability:
         """Occupancy probability of every voxel of the view grid.
 
-        What was measured overrules the network: an observed voxel is filled, a voxel a ray went through is not.
+        What was measured overrules the network: a voxel that a ray went through is empty.
         """
         states = np.stack([view.observed, view.free]).astype(np.float32)[None]
         (probability,) = self._session.run(["probability"], {"view": states})
         result: Probability = probability[0]
         result[view.free] = 0.0
-        result[view.observed] = 1.0
         return result
