@@ -13,7 +13,7 @@ import threading
 import time
 from collections import deque
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from service.core.errors import DeadlineExceeded, Overloaded
 from service.core.messages import DeformRequest, DeformResult
@@ -27,6 +27,7 @@ SMOOTHING = 0.2
 """Weight of the newest prediction in the running mean: follows a change of load within about five requests."""
 
 
+@runtime_checkable
 class Predictor(Protocol):
     """What the worker runs: `service.pipeline.Pipeline`."""
 
@@ -111,11 +112,12 @@ class Scheduler:
         with self._changed:
             if self._closed:
                 raise Overloaded("The service is shutting down; try another one.", retry_after_s=1.0)
-            waiting = len(self._waiting)
-            if waiting >= self._queue_size:
-                retry_after_s = self._mean_s * (waiting + 1)
+            # Counted together: one that an idle worker is about to take holds no place in the queue.
+            inside = len(self._waiting) + self._busy
+            if inside > self._queue_size:
+                retry_after_s = self._mean_s * inside
                 raise Overloaded(
-                    f"{waiting} requests are waiting already; try again in {retry_after_s:.2f} s.",
+                    f"{inside} requests are being answered already; try again in {retry_after_s:.2f} s.",
                     retry_after_s=retry_after_s,
                 )
             self._waiting.append(job)
@@ -178,8 +180,13 @@ class Scheduler:
         # Whatever one request provokes is that request's answer: the worker must live for the next one.
         try:
             return Answer(self._predictor.predict(job.request), started - job.submitted)
-        except BaseException as error:
+        except Exception as error:
             return error
+        except BaseException as error:
+            # SystemExit and its kind, raised by some library, would end the event loop that awaits the future.
+            wrapped = RuntimeError(f"inference raised {type(error).__name__}")
+            wrapped.__cause__ = error
+            return wrapped
 
 
 def _too_late(waited_s: float) -> DeadlineExceeded:

@@ -83,7 +83,9 @@ class Running:
 
 
 @contextmanager
-def running(predictor: FakePredictor, build: Callable[[], None] = lambda: None, **settings: object) -> Iterator[Running]:
+def running(
+    predictor: FakePredictor, build: Callable[[], None] = lambda: None, **settings: object
+) -> Iterator[Running]:
     """The real application around a fake predictor, in a thread of its own; `build` runs where models would load."""
     lines: list[str] = []
     announced = threading.Event()

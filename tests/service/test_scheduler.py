@@ -1,0 +1,219 @@
+"""The queue in front of the worker: order, refusals, cancellation, shutdown, and that nothing kills the worker."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections.abc import Awaitable, Callable
+
+import numpy as np
+import pytest
+
+from service.core.errors import DeadlineExceeded, EmptyObject, Overloaded
+from service.core.materials import Material
+from service.core.messages import DeformRequest, KnownShape
+from service.scheduler import Scheduler
+from tests.service.fakes import FakePredictor
+
+
+def ask(name: str = "a") -> DeformRequest:
+    return DeformRequest(KnownShape(b"", 1.0, np.eye(4)), Material(1.0, 0.3, name), ())
+
+
+def soon(seconds: float = 10.0) -> float:
+    return time.monotonic() + seconds
+
+
+class Gate:
+    """Holds the worker inside `predict` until opened."""
+
+    def __init__(self) -> None:
+        self.entered = threading.Event()
+        self.open = threading.Event()
+
+    def __call__(self, _: DeformRequest) -> None:
+        self.entered.set()
+        assert self.open.wait(10)
+
+
+def run(
+    test: Callable[[Scheduler, FakePredictor, Gate], Awaitable[None]], queue_size: int = 2, gate: Gate | None = None
+) -> FakePredictor:
+    predictor = FakePredictor(gate) if gate else FakePredictor()
+
+    async def main() -> None:
+        scheduler = Scheduler(predictor, queue_size)
+        try:
+            await test(scheduler, predictor, gate or Gate())
+        finally:
+            if gate:
+                gate.open.set()
+            await scheduler.close(5.0)
+
+    asyncio.run(main())
+    return predictor
+
+
+async def in_worker(gate: Gate) -> None:
+    await asyncio.to_thread(gate.entered.wait, 10)
+
+
+def test_answers_come_from_one_thread_in_order_of_asking():
+    async def test(scheduler, predictor, gate):
+        tasks = [asyncio.create_task(scheduler.submit(ask(name), soon())) for name in "abc"]
+        gate.open.set()
+        answers = await asyncio.gather(*tasks)
+        assert all(answer.result.model_name == "fake" for answer in answers)
+        assert answers[2].queued_s >= answers[0].queued_s
+
+    predictor = run(test, queue_size=3, gate=Gate())
+    assert [request.material.name for request in predictor.asked] == ["a", "b", "c"]
+    assert predictor.threads == {"inference"}
+
+
+def test_a_full_queue_refuses_with_a_time_to_come_back():
+    async def test(scheduler, predictor, gate):
+        running = asyncio.create_task(scheduler.submit(ask("running"), soon()))
+        await in_worker(gate)
+        waiting = [asyncio.create_task(scheduler.submit(ask(), soon())) for _ in range(2)]
+        await asyncio.sleep(0)
+        assert scheduler.queue_depth == 2
+        with pytest.raises(Overloaded) as caught:
+            await scheduler.submit(ask("refused"), soon())
+        assert 0.0 < caught.value.retry_after_s < 10.0
+        gate.open.set()
+        # The refused one cost the others nothing.
+        await asyncio.gather(running, *waiting)
+
+    predictor = run(test, queue_size=2, gate=Gate())
+    assert len(predictor.asked) == 3
+
+
+def test_a_deadline_that_passes_in_the_queue_costs_no_inference():
+    async def test(scheduler, predictor, gate):
+        running = asyncio.create_task(scheduler.submit(ask("running"), soon()))
+        await in_worker(gate)
+        late = asyncio.create_task(scheduler.submit(ask("late"), soon(0.05)))
+        await asyncio.sleep(0.1)
+        gate.open.set()
+        with pytest.raises(DeadlineExceeded):
+            await late
+        await running
+
+    predictor = run(test, gate=Gate())
+    assert [request.material.name for request in predictor.asked] == ["running"]
+
+
+def test_a_deadline_already_past_is_refused_at_once():
+    async def test(scheduler, predictor, gate):
+        with pytest.raises(DeadlineExceeded):
+            await scheduler.submit(ask(), time.monotonic() - 1.0)
+
+    assert run(test).asked == []
+
+
+def test_cancelling_frees_the_place_in_the_queue():
+    async def test(scheduler, predictor, gate):
+        running = asyncio.create_task(scheduler.submit(ask("running"), soon()))
+        await in_worker(gate)
+        given_up = asyncio.create_task(scheduler.submit(ask("given up"), soon()))
+        await asyncio.sleep(0)
+        assert scheduler.queue_depth == 1
+        given_up.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await given_up
+        assert scheduler.queue_depth == 0
+        next_one = asyncio.create_task(scheduler.submit(ask("next"), soon()))
+        gate.open.set()
+        await asyncio.gather(running, next_one)
+
+    predictor = run(test, queue_size=1, gate=Gate())
+    assert [request.material.name for request in predictor.asked] == ["running", "next"]
+
+
+def test_cancelling_during_inference_leaves_the_worker_alive():
+    async def test(scheduler, predictor, gate):
+        running = asyncio.create_task(scheduler.submit(ask("running"), soon()))
+        await in_worker(gate)
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        gate.open.set()
+        assert (await scheduler.submit(ask("next"), soon())).result.model_name == "fake"
+
+    assert len(run(test, gate=Gate()).asked) == 2
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (EmptyObject("nothing there"), EmptyObject),
+        (RuntimeError("bug"), RuntimeError),
+        (MemoryError(), MemoryError),
+        # As itself it would end the event loop that awaits the answer.
+        (SystemExit(3), RuntimeError),
+    ],
+)
+def test_the_worker_survives_whatever_a_request_provokes(error, expected):
+    def react(request):
+        if request.material.name == "bad":
+            raise error
+
+    async def test(scheduler, predictor, gate):
+        predictor.react = react
+        good, bad, after = await asyncio.gather(
+            *(scheduler.submit(ask(name), soon()) for name in ("good", "bad", "after")), return_exceptions=True
+        )
+        assert type(bad) is expected
+        assert good.result.model_name == after.result.model_name == "fake"
+
+    run(test, queue_size=3)
+
+
+def test_closing_answers_what_was_accepted_and_takes_nothing_more():
+    async def test(scheduler, predictor, gate):
+        accepted = [asyncio.create_task(scheduler.submit(ask(), soon())) for _ in range(2)]
+        await in_worker(gate)
+        closing = asyncio.create_task(scheduler.close(10.0))
+        await asyncio.sleep(0.05)
+        with pytest.raises(Overloaded):
+            await scheduler.submit(ask("too late"), soon())
+        gate.open.set()
+        await closing
+        assert len(await asyncio.gather(*accepted)) == 2
+
+    assert len(run(test, gate=Gate()).asked) == 2
+
+
+def test_closing_refuses_what_does_not_fit_in_the_grace():
+    async def test(scheduler, predictor, gate):
+        stuck = asyncio.create_task(scheduler.submit(ask("stuck"), soon()))
+        await in_worker(gate)
+        waiting = asyncio.create_task(scheduler.submit(ask("waiting"), soon()))
+        await asyncio.sleep(0)
+        began = time.monotonic()
+        await scheduler.close(0.1)
+        assert time.monotonic() - began < 3.0
+        with pytest.raises(Overloaded):
+            await waiting
+        gate.open.set()
+        await stuck
+
+    assert [request.material.name for request in run(test, gate=Gate()).asked] == ["stuck"]
+
+
+def test_the_wait_that_is_told_follows_how_long_predictions_take():
+    async def test(scheduler, predictor, gate):
+        predictor.react = lambda request: time.sleep(0.2)
+        for _ in range(3):
+            await scheduler.submit(ask(), soon())
+        tasks = [asyncio.create_task(scheduler.submit(ask(), soon())) for _ in range(2)]
+        await asyncio.sleep(0.05)
+        with pytest.raises(Overloaded) as caught:
+            await scheduler.submit(ask(), soon())
+        # One waits and each takes about 0.2 s; the first guess alone would say 0.1 s.
+        assert 0.15 < caught.value.retry_after_s < 2.0
+        await asyncio.gather(*tasks)
+
+    run(test, queue_size=1)
