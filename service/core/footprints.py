@@ -6,12 +6,11 @@ objects that overlap in the image but stand apart stay two.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 
@@ -20,6 +19,9 @@ CELL_M = 0.004
 
 CELL_PER_DEPTH = 0.006
 """The same per metre of depth, where that is more: noise and pixel spacing grow with it."""
+
+VESSEL_GAP_CELLS = 8
+"""Gaps up to this wide may break a ring of footprints that counts as one vessel."""
 
 REACH_CELLS = 256
 """The map reaches this far to each side of the object's place, so a metre and more."""
@@ -43,17 +45,25 @@ class Footprints:
 
     def label_of(self, points: Points) -> Int32[np.ndarray, " n"]:
         """Number of the footprint that each point (camera frame, metres) stands in; 0 for none."""
-        cells = (points @ self.axes.T - self.corner_m) * np.float32(1.0 / self.cell_m)
         rows, columns = self.labels.shape
-        cells = np.clip(cells, -1.0, np.float32(max(rows, columns)), out=cells).astype(np.int32)
-        # The outermost ring of cells is empty, so whatever lies outside the map may be read there.
-        row = np.clip(cells[:, 0], 0, rows - 1)
-        column = np.clip(cells[:, 1], 0, columns - 1)
-        return np.asarray(self.labels[row, column], np.int32)
+        cells = (self.axes @ points.T - self.corner_m[:, None]) * np.float32(1.0 / self.cell_m)
+        # The outermost cells are empty, so whatever lies outside the map may be read there.
+        row = np.clip(cells[0], 0, rows - 1).astype(np.int32)
+        column = np.clip(cells[1], 0, columns - 1).astype(np.int32)
+        return np.asarray(self.labels.ravel()[row * columns + column], np.int32)
+
+    def extent_m(self, label: int) -> float:
+        """Longer side of the box around one footprint, metres."""
+        shown = self.labels == label
+        return self.cell_m * max(int(np.ptp(np.flatnonzero(shown.any(axis=axis)))) + 1 for axis in (0, 1))
 
 
 def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints | None:
-    """Map the footprints of points; gaps of up to two cells (8 mm, 1.2 % of the depth where that is more) are closed.
+    """Map the footprints of points.
+
+    Gaps of up to two cells (8 mm, 1.2 % of the depth where that is more) are closed. Footprints that enclose a hole
+    together, with gaps of up to eight cells between them, are one: the near and the far wall of a vessel, whose rim the
+    sensor does not resolve. The hole then belongs to them.
 
     Args:
         points: Points above the support, camera frame, metres.
@@ -65,21 +75,50 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     """
     axes = _horizontal_axes(up)
     cell_m = max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2])))
-    horizontal = points @ axes.T
-    centre = (axes.astype(np.float64) @ place_m).astype(np.float32)
-    near = horizontal[(np.abs(horizontal - centre) < np.float32(REACH_CELLS * cell_m)).all(axis=1)]
-    if len(near) == 0:
+    cells = (axes @ points.T - (axes.astype(np.float64) @ place_m).astype(np.float32)[:, None]) * np.float32(
+        1.0 / cell_m
+    )
+    near = (np.abs(cells[0]) < REACH_CELLS) & (np.abs(cells[1]) < REACH_CELLS)
+    row, column = np.floor(cells[0][near]).astype(np.int32), np.floor(cells[1][near]).astype(np.int32)
+    if len(row) == 0:
         return None
-    low, high = near.min(axis=0), near.max(axis=0)
-    # Two cells of margin: one for the dilation, one that stays empty.
-    corner_m = low - np.float32(2.0 * cell_m)
-    rows, columns = (math.ceil(float(extent) / cell_m) + 5 for extent in high - low)
-    cells = ((near - corner_m) * np.float32(1.0 / cell_m)).astype(np.int32)
-    occupied = np.zeros((rows, columns), np.uint8)
-    occupied[cells[:, 0], cells[:, 1]] = 1
+    margin = VESSEL_GAP_CELLS // 2 + 2
+    first_row, first_column = int(row.min()) - margin, int(column.min()) - margin
+    shape = int(row.max()) - first_row + margin + 1, int(column.max()) - first_column + margin + 1
+    occupied = np.zeros(shape, np.uint8)
+    occupied[row - first_row, column - first_column] = 1
     grown = cv2.dilate(occupied, np.ones((3, 3), np.uint8))
-    _, labels = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
-    return Footprints(axes, corner_m, cell_m, np.asarray(labels, np.int32))
+    _, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
+    labels = _join_vessels(occupied, np.asarray(components, np.int32))
+    corner_m = axes.astype(np.float64) @ place_m + cell_m * np.array([first_row, first_column])
+    return Footprints(axes, corner_m.astype(np.float32), cell_m, labels)
+
+
+def _join_vessels(
+    occupied: UInt8[np.ndarray, "rows columns"], labels: Int32[np.ndarray, "rows columns"]
+) -> Int32[np.ndarray, "rows columns"]:
+    """Give the footprints around each enclosed hole, and the hole, one label."""
+    reach = VESSEL_GAP_CELLS // 2
+    closed = cv2.dilate(occupied, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
+    count, holes, stats, _ = cv2.connectedComponentsWithStats(1 - closed, connectivity=4, ltype=cv2.CV_32S)
+    # The outside touches the corner of the map, whose margin is free.
+    outside = holes[0, 0]
+    labels = labels.copy()
+    for hole in range(1, count):
+        if hole == outside:
+            continue
+        left, top, width, height = (int(stats[hole, column]) for column in range(4))
+        around = (slice(top - reach, top + height + reach), slice(left - reach, left + width + reach))
+        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        inside = cv2.dilate((holes[around] == hole).astype(np.uint8), kernel) > 0
+        shares = np.bincount(labels[around][inside])
+        shares[0] = 0
+        # A neighbour seen through a gap of the wall is no part of it.
+        walls = np.flatnonzero(shares > 0.1 * shares.sum())
+        if len(walls):
+            labels[np.isin(labels, walls)] = walls[0]
+            labels[around][inside] = walls[0]
+    return labels
 
 
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:

@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int64
+from jaxtyping import Bool, Float32, Int32, Int64
 
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics, pixel_to_point, ray_grid
+from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, on_surface, view_depth, window_around
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
 from service.core.footprints import Footprints, find_footprints
-from service.core.readings import Readings, is_flying, read_grid, window_around
 from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
 
 MIN_OBJECT_POINTS = 30
@@ -25,8 +25,8 @@ MIN_OBJECT_POINTS = 30
 COARSE_WIDTH = 320
 """Columns of the coarse pass; at 640 pixels every other row and column is read."""
 
-PLANE_SAMPLES = 2500
-"""Points that the support plane is fitted to."""
+PLANE_SAMPLES = 3000
+"""Pixels that the support plane is fitted to."""
 
 LOCALITY = 0.4
 """Distance from the object, in units of its depth, at which a point of the surroundings counts a quarter."""
@@ -34,8 +34,12 @@ LOCALITY = 0.4
 BORDER_PX = 2
 """An object with a pixel this near to the image border is taken as cut by it."""
 
-CORE_TOLERANCES = 2.0
-"""Only points this many plane tolerances high link into one object, so that noise of the table links none."""
+CORE_TOLERANCES = (2.0, 4.0, 8.0)
+"""Only points this many plane tolerances high link into one object, so that noise of the table links none; the next
+level is tried where the object comes out too wide, so that low things do not link it to what is around it."""
+
+MAX_EXTENT_M = 0.5
+"""An object wider than this is taken for several, if a higher level of linking takes it apart."""
 
 MASK_TOLERANCES = 0.5
 """The same for points of a mask, which says itself what is object; the rest is the mask's bleeding onto the table."""
@@ -71,9 +75,11 @@ class _Support:
     fitted: SupportPlane
     answered: SupportPlane
 
-    def clearance(self, points: Points) -> Float32[np.ndarray, " n"]:
-        """Heights above the plane in units of its tolerance."""
-        return np.asarray(self.fitted.heights_m(points) / plane_tolerance_m(points[:, 2]), np.float32)
+    def clearance(self, view: DepthView) -> Float32[np.ndarray, "rows columns"]:
+        """Heights above the plane in units of its tolerance; NaN where there is no reading."""
+        clearance = view.heights_m(self.fitted.normal, self.fitted.offset_m)
+        clearance /= plane_tolerance_m(view.z_m)
+        return clearance
 
 
 def segment(
@@ -116,170 +122,205 @@ def segment(
 
 
 def _segment_masked(
-    depth_m: DepthImage, intrinsics: Intrinsics, mask: Mask, window: tuple[slice, slice], up: Vector3 | None
+    depth_m: DepthImage, intrinsics: Intrinsics, mask: Mask, window: Window, up: Vector3 | None
 ) -> Segment:
-    shown = read_grid(depth_m, intrinsics, window=window, among=mask)
+    masked = np.zeros_like(mask)
+    masked[window] = mask[window]
+    _require_points(masked, "The mask covers too few readings of the depth image.", "mask")
+    view = view_depth(depth_m, intrinsics, window_around(masked))
+    shown = view.crop(masked) & on_surface(view.z_m)
     _require_points(shown, "The mask covers too few readings of the depth image.", "mask")
-    shown = shown.keep(~is_flying(shown.pixels, depth_m))
-    _require_points(shown, "The mask covers too few readings of the depth image.", "mask")
-    support = _support_around(depth_m, intrinsics, mask, shown, up)
+    points = view.points(shown)
+    few = points[:: max(1, len(points) // 300)]
+    support = _support_around(depth_m, intrinsics, masked, few, up)
     if support is not None:
-        shown = shown.keep(support.clearance(shown.points) > MASK_TOLERANCES)
+        shown &= support.clearance(view) > MASK_TOLERANCES
         _require_points(shown, "Too little of the mask rises above the support plane.", "mask")
+        points = view.points(shown)
     known_up = support.fitted.normal if support is not None else up
-    shown = _without_background(shown, IMAGE_UP if known_up is None else known_up)
-    return _finish(shown, intrinsics, support, up)
+    kept = _without_background(points, IMAGE_UP if known_up is None else known_up)
+    row, column = view.pixels(shown)
+    return _finish(points[kept], row[kept], column[kept], intrinsics, support, up)
 
 
 def _segment_cluster(
-    depth_m: DepthImage,
-    intrinsics: Intrinsics,
-    window: tuple[slice, slice],
-    up: Vector3 | None,
-    contact_m: Vector3 | None,
+    depth_m: DepthImage, intrinsics: Intrinsics, window: Window, up: Vector3 | None, contact_m: Vector3 | None
 ) -> Segment:
-    stride = max(1, round(intrinsics.width / COARSE_WIDTH))
-    scene = read_grid(depth_m, intrinsics, stride)
-    coarse = scene if window == (slice(None), slice(None)) else read_grid(depth_m, intrinsics, stride, window)
-    _require_points(coarse, "The depth image has too few readings.", "depth")
-    middle_px = _pixel_distance(coarse.pixels, window, intrinsics)
-    place_m = coarse.points[np.argmin(middle_px)].astype(np.float64) if contact_m is None else contact_m
-    known_object = scene.points[:0] if contact_m is None else contact_m[None].astype(np.float32)
-    support = _fit_support(scene.points, place_m, known_object, up)
-    if support is None and up is None:
+    scene = _sample(depth_m, intrinsics, WHOLE_IMAGE)
+    readable = np.isfinite(scene.z_m)
+    _require_points(readable, "The depth image has too few readings.", "depth")
+    points = scene.points(readable)
+    place_m = contact_m
+    known_object = points[:0] if contact_m is None else contact_m[None].astype(np.float32)
+    if place_m is None:
+        nearest = np.argmin(_distance_to_middle(scene, readable, window, intrinsics))
+        place_m = points[nearest].astype(np.float64)
+    support = _fit_support(points, place_m, known_object, up)
+    level = up if support is None else support.fitted.normal
+    if level is None:
         raise NoSupportPlane(
             "No support plane is visible around the object; send `up`, or a mask of the object.",
             field="up",
             expected="`up`, `mask`, or a visible support plane",
         )
+    footprints, label, seen = _find_object(depth_m, intrinsics, window, support, level, place_m, contact_m)
+    view = view_depth(depth_m, intrinsics, seen)
+    shown = on_surface(view.z_m)
+    if support is not None:
+        shown &= support.clearance(view) > 1.0
+    points = view.points(shown)
+    kept = footprints.label_of(points) == label
+    row, column = view.pixels(shown)
+    return _finish(points[kept], row[kept], column[kept], intrinsics, support, up)
 
-    level = up if support is None else support.fitted.normal
-    assert level is not None  # else NoSupportPlane was raised
-    footprints, label = None, 0
-    for tolerances in (CORE_TOLERANCES, 1.0):
-        core = _above(coarse, support, tolerances)
-        core = core.keep(~is_flying(core.pixels, depth_m))
-        footprints = find_footprints(core.points, level, place_m)
-        if footprints is not None:
-            distance = (
-                _pixel_distance(core.pixels, window, intrinsics)
-                if contact_m is None
-                else np.linalg.norm(core.points - contact_m.astype(np.float32), axis=1)
-            )
-            label = _nearest_footprint(footprints, core.points, distance, MIN_OBJECT_POINTS // stride**2)
-        if label:
+
+def _find_object(
+    depth_m: DepthImage,
+    intrinsics: Intrinsics,
+    window: Window,
+    support: _Support | None,
+    level: Vector3,
+    place_m: Vector3,
+    contact_m: Vector3 | None,
+) -> tuple[Footprints, int, Window]:
+    """The map of footprints, the label of the object's and the window of the image that it is seen in."""
+    stride = max(1, round(intrinsics.width / COARSE_WIDTH))
+    view = view_depth(depth_m, intrinsics, window, stride)
+    surface = on_surface(view.z_m)
+    clearance = None if support is None else support.clearance(view)
+    found: tuple[Footprints, int, Window] | None = None
+    # The lowest level comes last: it is for flat things, and links through the noise of the table.
+    for tolerances in (*CORE_TOLERANCES, 1.0):
+        core = surface if clearance is None else surface & (clearance > tolerances)
+        points = view.points(core)
+        footprints = find_footprints(points, level, place_m)
+        if footprints is None:
+            continue
+        labels = footprints.label_of(points)
+        distance = (
+            _distance_to_middle(view, core, window, intrinsics)
+            if contact_m is None
+            else np.linalg.norm(points - contact_m.astype(np.float32), axis=1)
+        )
+        label = _nearest_footprint(labels, distance, MIN_OBJECT_POINTS // stride**2)
+        if label == 0:
+            continue
+        wide = footprints.extent_m(label) > MAX_EXTENT_M
+        if found is None or not wide:
+            seen = np.zeros(core.shape, np.bool_)
+            seen.ravel()[np.flatnonzero(core)[labels == label]] = True
+            found = footprints, label, _enlarge(window_around(seen), view, 2 * stride + 2, window, depth_m.shape)
+        if not wide:
             break
-    if footprints is None or not label:
+    if found is None:
         raise EmptyObject(
             "No object stands above the support plane there; send a mask, or a contact on the object.", field="depth"
         )
-    core = core.keep(footprints.label_of(core.points) == label)
-    box = window_around(core.pixels, depth_m.shape, 2 * stride + 2)
-    fine = _above(read_grid(depth_m, intrinsics, window=_intersect(box, window)), support, 1.0)
-    fine = fine.keep(footprints.label_of(fine.points) == label)
-    fine = fine.keep(~is_flying(fine.pixels, depth_m))
-    _require_points(fine, "Too few points are left of the object.", "depth")
-    return _finish(fine, intrinsics, support, up)
+    return found
 
 
-def _above(readings: Readings, support: _Support | None, tolerances: float) -> Readings:
-    """Readings that high above the support; all of them where it is not seen."""
-    return readings if support is None else readings.keep(support.clearance(readings.points) > tolerances)
-
-
-def _nearest_footprint(
-    footprints: Footprints, points: Points, distance: Float32[np.ndarray, " n"], min_points: int
-) -> int:
-    """Label of the footprint that holds the nearest point, among those with enough points; 0 for none."""
-    labels = footprints.label_of(points)
+def _nearest_footprint(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
+    """Label that the nearest point has, among the labels with enough points; 0 for none."""
     large = np.bincount(labels) >= max(min_points, 3)
     large[0] = False
     eligible = large[labels]
-    if not eligible.any():
-        return 0
-    return int(labels[np.argmin(np.where(eligible, distance, np.inf))])
+    return int(labels[np.argmin(np.where(eligible, distance, np.inf))]) if eligible.any() else 0
 
 
 def _support_around(
-    depth_m: DepthImage, intrinsics: Intrinsics, mask: Mask, shown: Readings, up: Vector3 | None
+    depth_m: DepthImage, intrinsics: Intrinsics, mask: Mask, object_points: Points, up: Vector3 | None
 ) -> _Support | None:
     """The plane in the surroundings of a mask; failing that, anywhere in the image."""
-    box = window_around(shown.pixels, depth_m.shape, 0)
     # Masks are a little too tight as often as too wide: what lies right beside one is neither object nor table.
-    outside = cv2.dilate(mask.astype(np.uint8), np.ones((7, 7), np.uint8)) == 0
-    place_m = np.median(shown.points, axis=0).astype(np.float64)
-    object_points = shown.points[:: max(1, len(shown) // 200)]
-    margin_px = tuple(max(40, round(0.75 * (side.stop - side.start))) for side in box)
-    near = window_around(shown.pixels, depth_m.shape, (margin_px[0], margin_px[1]))
-    for place in (near, (slice(None), slice(None))):
-        rows, columns = (len(range(*side.indices(size))) for side, size in zip(place, depth_m.shape, strict=True))
-        stride = max(1, round((rows * columns / (2 * PLANE_SAMPLES)) ** 0.5))
-        surroundings = read_grid(depth_m, intrinsics, stride, place, among=outside)
-        support = _fit_support(surroundings.points, place_m, object_points, up)
+    near = window_around(mask, margin=0.75, margin_px=40)
+    taken = np.zeros_like(mask)
+    taken[near] = cv2.dilate(mask[near].view(np.uint8), np.ones((7, 7), np.uint8)).view(np.bool_)
+    place_m = np.median(object_points, axis=0).astype(np.float64)
+    for window in (near, WHOLE_IMAGE):
+        view = _sample(depth_m, intrinsics, window)
+        points = view.points(np.isfinite(view.z_m) & ~view.crop(taken))
+        support = _fit_support(points, place_m, object_points, up)
         if support is not None:
             return support
     return None
 
 
+def _sample(depth_m: DepthImage, intrinsics: Intrinsics, window: Window) -> DepthView:
+    rows, columns = (len(range(*side.indices(size))) for side, size in zip(window, depth_m.shape, strict=True))
+    return view_depth(depth_m, intrinsics, window, max(1, round((rows * columns / PLANE_SAMPLES) ** 0.5)))
+
+
 def _fit_support(points: Points, place_m: Vector3, known_object: Points, up: Vector3 | None) -> _Support | None:
-    points = points[:: max(1, len(points) // PLANE_SAMPLES)]
     distance = np.linalg.norm(points - place_m.astype(np.float32), axis=1)
-    weights = 1.0 / np.square(1.0 + np.square(distance / np.float32(LOCALITY * max(float(place_m[2]), 0.1))))
-    fitted = find_support_plane(points, weights.astype(np.float32), known_object, up)
+    reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
+    weights = 1.0 / np.square(1.0 + np.square(distance / reach_m))
+    fitted = find_support_plane(points, weights, known_object, up)
     if fitted is None:
         return None
-    return _Support(fitted, fitted if up is None else level_plane(fitted, up, points, weights.astype(np.float32)))
+    return _Support(fitted, fitted if up is None else level_plane(fitted, up, points, weights))
 
 
-def _without_background(shown: Readings, up: Vector3) -> Readings:
-    """Drop what the mask shows far from its largest part: background beyond the object's edge."""
-    footprints = find_footprints(shown.points, up, np.median(shown.points, axis=0).astype(np.float64))
-    if footprints is None:
-        return shown
-    labels = footprints.label_of(shown.points)
-    main = labels == np.argmax(np.bincount(labels, minlength=2)[1:]) + 1
-    low, high = shown.points[main].min(axis=0), shown.points[main].max(axis=0)
+def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:
+    """Which points of a mask are not far from its largest part, as background beyond the object's edge is."""
+    footprints = find_footprints(points, up, points[len(points) // 2].astype(np.float64))
+    labels = np.ones(len(points), np.int32) if footprints is None else footprints.label_of(points)
+    counts = np.bincount(labels)
+    if np.count_nonzero(counts) == 1:
+        return np.ones(len(points), np.bool_)
+    main = labels == np.argmax(counts)
+    low, high = points[main].min(axis=0), points[main].max(axis=0)
     # The far side of a deep cup is seen apart from its near side, at most one diameter behind it.
     reach_m = np.linalg.norm(high - low)
-    gap_m = np.linalg.norm(np.maximum(np.maximum(low - shown.points, shown.points - high), 0.0), axis=1)
-    return shown.keep(main | (gap_m < reach_m))
+    gap_m = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
+    return np.asarray(main | (gap_m < reach_m), np.bool_)
 
 
-def _finish(readings: Readings, intrinsics: Intrinsics, support: _Support | None, up: Vector3 | None) -> Segment:
+def _finish(
+    points: Points,
+    row: Int64[np.ndarray, " n"],
+    column: Int64[np.ndarray, " n"],
+    intrinsics: Intrinsics,
+    support: _Support | None,
+    up: Vector3 | None,
+) -> Segment:
     pixels = np.zeros((intrinsics.height, intrinsics.width), np.bool_)
-    pixels.ravel()[readings.pixels] = True
+    pixels[row, column] = True
+    _require_points(pixels, "Too few points are left of the object.", "depth")
     flags = set()
-    row, column = np.divmod(readings.pixels, intrinsics.width)
-    if (
-        min(row[0], column.min()) < BORDER_PX
-        or row[-1] >= intrinsics.height - BORDER_PX
-        or column.max() >= intrinsics.width - BORDER_PX
-    ):
+    inner = pixels[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
+    if np.count_nonzero(inner) < len(points):
         flags.add("object_cut_by_border")
     plane = None if support is None else support.answered
     if plane is None:
         flags.add("up_unknown" if up is None else "support_not_seen")
-        plane = None if up is None else _lowest_plane(readings.points, up)
-    return Segment(readings.points, pixels, plane, None if plane is None else plane.normal, frozenset(flags))
+        # Half a percent of the points may be noise below the object.
+        plane = None if up is None else SupportPlane(up, -float(np.percentile(points @ up.astype(np.float32), 0.5)))
+    return Segment(points, pixels, plane, None if plane is None else plane.normal, frozenset(flags))
 
 
-def _lowest_plane(points: Points, up: Vector3) -> SupportPlane:
-    # Half a percent of the points may be noise below the object.
-    return SupportPlane(up, -float(np.percentile(points @ up.astype(np.float32), 0.5)))
-
-
-def _pixel_distance(
-    pixels: Int64[np.ndarray, " n"], window: tuple[slice, slice], intrinsics: Intrinsics
+def _distance_to_middle(
+    view: DepthView, where: Bool[np.ndarray, "rows columns"], window: Window, intrinsics: Intrinsics
 ) -> Float32[np.ndarray, " n"]:
-    """Distance of pixels from the middle of the window."""
-    rows, columns, _ = window[0].indices(intrinsics.height), window[1].indices(intrinsics.width), None
-    row, column = np.divmod(pixels, intrinsics.width)
+    """Distance in pixels of the chosen readings from the middle of the window."""
+    rows, columns = window[0].indices(intrinsics.height), window[1].indices(intrinsics.width)
+    row, column = view.pixels(where)
     return np.hypot(row - (rows[0] + rows[1] - 1) / 2, column - (columns[0] + columns[1] - 1) / 2).astype(np.float32)
 
 
-def _roi_window(roi: tuple[int, int, int, int] | None, intrinsics: Intrinsics) -> tuple[slice, slice]:
+def _enlarge(box: Window, view: DepthView, margin_px: int, within: Window, shape: tuple[int, ...]) -> Window:
+    """A box of pixels of the view as a window of the whole image, widened by a margin inside another window."""
+    sides = []
+    for side, first, limit, size in zip(box, view.first_pixel, within, shape, strict=True):
+        lowest, highest, _ = limit.indices(size)
+        start = first + side.start * view.stride - margin_px
+        stop = first + (side.stop - 1) * view.stride + 1 + margin_px
+        sides.append(slice(max(start, lowest), min(stop, highest)))
+    return sides[0], sides[1]
+
+
+def _roi_window(roi: tuple[int, int, int, int] | None, intrinsics: Intrinsics) -> Window:
     if roi is None:
-        return slice(None), slice(None)
+        return WHOLE_IMAGE
     u, v, width, height = roi
     columns = slice(max(u, 0), min(u + width, intrinsics.width))
     rows = slice(max(v, 0), min(v + height, intrinsics.height))
@@ -293,14 +334,7 @@ def _roi_window(roi: tuple[int, int, int, int] | None, intrinsics: Intrinsics) -
     return rows, columns
 
 
-def _intersect(a: tuple[slice, slice], b: tuple[slice, slice]) -> tuple[slice, slice]:
-    rows, columns = (
-        slice(max(p.start or 0, q.start or 0), p.stop if q.stop is None else min(p.stop, q.stop))
-        for p, q in zip(a, b, strict=True)
-    )
-    return rows, columns
-
-
-def _require_points(readings: Readings, message: str, field: str) -> None:
-    if len(readings) < MIN_OBJECT_POINTS:
-        raise EmptyObject(message, field=field, expected=f"at least {MIN_OBJECT_POINTS} points", actual=len(readings))
+def _require_points(pixels: Bool[np.ndarray, "rows columns"], message: str, field: str) -> None:
+    count = int(np.count_nonzero(pixels))
+    if count < MIN_OBJECT_POINTS:
+        raise EmptyObject(message, field=field, expected=f"at least {MIN_OBJECT_POINTS} points", actual=count)
