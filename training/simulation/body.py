@@ -235,8 +235,9 @@ class SparsityPattern:
         number[free_nodes] = np.arange(count)
         node = number[body.cell_nodes.T]
         a, b = np.triu_indices(8)
-        low, high = np.minimum(node[a], node[b]), np.maximum(node[a], node[b])
-        held = low < 0
+        # nodes are numbered in the order of the grid, and so are the corners of a cell: a never exceeds b
+        low, high = node[a], node[b]
+        held = (low < 0) | (high < 0)
         blocks, block_of = np.unique((low * count + high)[~held], return_inverse=True)
         block_row, block_column = blocks // count, blocks % count
         # in block row r the diagonal block comes first and has 3, 2, 1 entries, every other block 3 in each row
@@ -260,9 +261,7 @@ class SparsityPattern:
         for index, (row, column) in enumerate(zip(*PAIRS_24, strict=True)):
             pair = block_number[row // 3, column // 3]
             i, j = row % 3, column % 3
-            # the global block runs from the lower node number to the higher one
-            swapped = node[row // 3] > node[column // 3]
-            position[index] = np.where(swapped, entry[block[pair], j, i], entry[block[pair], i, j])
+            position[index] = entry[block[pair], i, j]
             position[index][held[pair]] = len(indices)
         return cls(indptr.astype(np.int32), indices, position.ravel())
 
@@ -289,7 +288,7 @@ def octant_fill(distance: Distance, cells: int) -> Float64[np.ndarray, "n2 n2 n2
     offsets = np.stack(np.meshgrid(offset, offset, offset, indexing="ij"), axis=-1).reshape(-1, 3)
     for block in np.array_split(near, max(1, len(near) // 4096)):
         samples = (centres[block][:, None] + offsets[None]).reshape(-1, 3)
-        fill[block] = (distance(samples) < 0).reshape(len(block), -1).mean(axis=1)
+        fill[block] = (distance(samples) < 0).reshape(len(block), SUBSAMPLES**3).mean(axis=1)
     return fill.reshape(n, n, n)
 
 

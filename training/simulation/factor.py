@@ -6,7 +6,7 @@ import copy
 import warnings
 import weakref
 from functools import cache
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,6 +18,7 @@ class NotPositiveDefinite(ArithmeticError):
     """The matrix has a direction of zero or negative curvature."""
 
 
+@runtime_checkable
 class Factor(Protocol):
     """A factorised symmetric positive definite matrix."""
 

@@ -14,6 +14,7 @@ from training.simulation.elements import CORNERS, shape_functions
 _ITERATIONS = 12
 _TOLERANCE = 1e-3
 """Local coordinates are solved to this part of a cell, 1/400 of a voxel at 24³; voxels at a shared face are kept."""
+_MAX_CANDIDATES = 2_000_000
 _OUTSIDE = 0.75
 """Local coordinates, measured from the cell's centre, beyond which a voxel is given up as another cell's."""
 
@@ -140,15 +141,16 @@ def _invert(
     curved = inverse @ bilinear
     # the largest shift that the products can make bounds how far outside the affine guess may lie
     margin = 0.5 + _TOLERANCE + np.abs(curved[:, :, :3]).sum(axis=2) / 4 + np.abs(curved[:, :, 3]) / 8
-    margin[~usable] = -1.0
-    low = np.ceil(corners.min(axis=1) - _TOLERANCE).astype(np.int64)
-    extent = (np.floor(corners.max(axis=1) + _TOLERANCE).astype(np.int64) - low).max(axis=1) + 1
+    low = np.clip(np.ceil(corners.min(axis=1) - _TOLERANCE), 0, size).astype(np.int64)
+    high = np.clip(np.floor(corners.max(axis=1) + _TOLERANCE) + 1, 0, size).astype(np.int64)
+    extent = np.where((high > low).all(axis=1) & usable, (high - low).max(axis=1), 0)
     first = np.einsum("mij,mj->mi", inverse, low - centre)
-    parts = [
-        _affine_candidates(np.flatnonzero(extent == edge), int(edge), low, first, inverse, margin)
-        for edge in np.unique(extent)
-        if edge > 0
-    ]
+    parts = [(np.empty((3, 0), np.int64), np.empty(0, np.int64), np.empty((3, 0), np.float32))]
+    for edge in np.unique(extent[extent > 0]):
+        cells = np.flatnonzero(extent == edge)
+        # a cell torn over half the grid is rare, but many of them at once would not fit into memory
+        for block in np.array_split(cells, 1 + len(cells) * int(edge) ** 3 // _MAX_CANDIDATES):
+            parts.append(_affine_candidates(block, int(edge), low, first, inverse, margin))
     voxel = np.concatenate([part[0] for part in parts], axis=1)
     cell = np.concatenate([part[1] for part in parts])
     start = np.concatenate([part[2] for part in parts], axis=1)

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from tests.training.simulation.bodies import bridge, column
+from training.simulation.body import Body
+from training.simulation.force_search import force_for_identity_iou, identity_iou
+from training.simulation.loads import Load
+from training.simulation.rasterise import Rasteriser
+from training.simulation.solver import LinearSolver
+
+
+@pytest.mark.parametrize("target", [0.35, 0.6, 0.85])
+def test_the_linear_response_overlaps_as_wanted(target):
+    body = Body.from_distance(bridge(), 12)
+    solver = LinearSolver(body, 0.3)
+    load = Load(np.array([0.5, 0.5, 8 / 12]), np.array([0.8, 0.0, -0.6]), 1e-3)
+    linear = solver.solve([load])[0]
+    found = force_for_identity_iou(Rasteriser(body, 32), load, linear, target)
+    assert found is not None
+    fine = Rasteriser(body)
+    deformed = fine.occupancy(linear * found.load_number / load.load_number)
+    assert identity_iou(fine.rest, deformed) == pytest.approx(target, abs=0.05)  # voxels of 1/32 see a little less
+    np.testing.assert_array_equal(found.contact, load.contact)
+
+
+def test_no_force_is_given_where_none_within_the_cube_reaches_the_target():
+    """Pressing a stout block at the top moves its upper part only."""
+    body = Body.from_distance(column(0.7, 0.3), 12)
+    solver = LinearSolver(body, 0.3)
+    load = Load(np.array([0.5, 0.5, 0.3]), np.array([0.0, 0.0, 1.0]), 1e-3)
+    assert force_for_identity_iou(Rasteriser(body, 32), load, solver.solve([load])[0], 0.05) is None
+
+
+def test_identity_iou_of_nothing_is_one():
+    empty = np.zeros((4, 4, 4), bool)
+    assert identity_iou(empty, empty) == 1.0
+    assert identity_iou(~empty, empty) == 0.0

@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+
+from tests.training.simulation.bodies import bridge, column, sphere
+from training.simulation.body import Body
+from training.simulation.loads import Load, nodal_forces
+from training.simulation.newton import solve_neo_hookean
+from training.simulation.solver import LinearSolver
+
+TOP = np.array([0.5, 0.5, 8 / 12])
+
+
+@pytest.fixture(scope="module")
+def solver():
+    return LinearSolver(Body.from_distance(bridge(), 12), 0.4)
+
+
+def test_small_loads_give_the_linear_answer(solver):
+    load = Load(TOP, np.array([0.6, 0.0, -0.8]), 1e-7)
+    linear = solver.solve([load])[0]
+    (solution,) = solve_neo_hookean(solver, load, fractions=(1.0,), tolerance=1e-8)
+    assert solution.converged
+    np.testing.assert_allclose(solution.displacement, linear, atol=1e-4 * np.abs(linear).max())
+    assert solution.strain_energy == pytest.approx(0.5 * (nodal_forces(solver.body, load) * linear).sum(), rel=1e-4)
+
+
+def test_every_load_step_is_in_equilibrium_at_a_large_load(solver):
+    """Internal forces equal the load at free nodes; their sum at clamped nodes is minus the load."""
+    load = Load(TOP, np.array([0.6, 0.0, -0.8]), 0.0015)
+    steps = solve_neo_hookean(solver, load, tolerance=1e-8)
+    assert [step.reason for step in steps] == [None, None, None]
+    assert [step.load.load_number for step in steps] == pytest.approx([0.0005, 0.001, 0.0015])
+    assert steps[-1].peak_displacement > 0.05
+    body = solver.body
+    for step in steps:
+        element = solver.element.evaluate(body.gather(step.displacement), body.quadrature_weights, 0.4)
+        internal = body.scatter(element.forces)
+        applied = nodal_forces(body, step.load)
+        assert np.linalg.norm((internal - applied)[~body.clamped]) < 1e-8 * np.linalg.norm(applied)
+        np.testing.assert_allclose(
+            internal[body.clamped].sum(axis=0), -step.load.load_number * step.load.direction, atol=1e-9
+        )
+        assert step.strain_energy == pytest.approx(element.energy.sum())
+
+
+def test_a_looser_tolerance_moves_nothing_by_a_hundredth_of_a_voxel(solver):
+    load = Load(TOP, np.array([1.0, 0.0, 0.0]), 0.001)
+    loose = solve_neo_hookean(solver, load)[-1]
+    tight = solve_neo_hookean(solver, load, tolerance=1e-9)[-1]
+    assert loose.converged and tight.converged
+    assert np.abs(loose.displacement - tight.displacement).max() < 0.01 / 64
+
+
+def test_a_bent_column_keeps_its_length_where_the_linear_one_grows():
+    """Bending is nearly inextensible: the end of a slender beam follows an arc, while the linear one moves sideways."""
+    body = Body.from_distance(column(1 / 6, 0.75), 24)
+    solver = LinearSolver(body, 0.3)
+    load = Load(np.array([0.5 + 1 / 12, 0.5, 0.7]), np.array([1.0, 0.0, 0.0]), 2e-4)
+    linear = solver.solve([load])[0]
+    solution = solve_neo_hookean(solver, load)[-1]
+    assert solution.converged
+    axis = np.flatnonzero((body.node_grid[:, :2] == 12).all(axis=1))
+    axis = axis[np.argsort(body.node_grid[axis, 2])]
+
+    def length(displacement):
+        return np.linalg.norm(np.diff((body.node_positions + displacement)[axis], axis=0), axis=1).sum()
+
+    assert length(linear) > 1.01 * 0.75
+    assert length(solution.displacement) == pytest.approx(0.75, rel=0.005)
+
+
+def test_a_crushing_load_is_reported_not_returned_as_converged():
+    solver = LinearSolver(Body.from_distance(sphere([0.5, 0.5, 0.28], 0.3), 12), 0.2)
+    steps = solve_neo_hookean(solver, Load(np.array([0.5, 0.5, 0.58]), np.array([0.0, 0.0, -1.0]), 0.5))
+    assert not steps[-1].converged
+    assert steps[-1].reason in {"inverted", "not_converged"}
+    assert all(step.converged for step in steps[:-1])
+
+
+def test_leaving_the_cube_is_reported():
+    solver = LinearSolver(Body.from_distance(column(1 / 6, 0.9), 12), 0.3)
+    load = Load(np.array([0.5, 0.5, 0.9]), np.array([0.0, 0.0, 1.0]), 0.02)
+    assert solve_neo_hookean(solver, load, fractions=(1.0,))[-1].reason == "left_cube"
