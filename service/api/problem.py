@@ -84,7 +84,7 @@ def _as_invalid_request(detail: ErrorDetails) -> InvalidRequest:
     return cls(f"{subject} {message}.", field=path, expected=expected, actual=_shown(detail["input"]))
 
 
-def _shown(value: object) -> str | float:
+def _shown(value: object) -> str | int | float:
     """A value short enough to send back. Long strings are data: only their length says something."""
     if isinstance(value, bool) or value is None:
         return {True: "true", False: "false", None: "null"}[value]
