@@ -157,9 +157,7 @@ class Pipeline:
             occupancy = cover(probability > cut, observed)
         return Body(grid, observed, probability, occupancy, found.flags), contacts
 
-    def _place(
-        self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch
-    ) -> tuple[Body, list[Vector3]]:
+    def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:
         """A known shape in its body grid, and the contacts in the camera frame."""
         contacts = []
         for i, load in enumerate(loads):
@@ -192,7 +190,9 @@ class Pipeline:
                 answers = iter(zip(deformation.probability, deformation.displacement, strict=True))
             threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
             return tuple(
-                _unmoved(body, question) if question.condition is None else _moved(body, question, *next(answers), threshold)
+                _unmoved(body, question)
+                if question.condition is None
+                else _moved(body, question, *next(answers), threshold)
                 for question in questions
             )
 
@@ -210,9 +210,7 @@ class Pipeline:
         )
         if self._deformation.outside_training_range(condition):
             flags.add("outside_training_range")
-        return Question(
-            condition, load_number(force_n, material.young_modulus_pa, body.grid.edge_m), frozenset(flags)
-        )
+        return Question(condition, load_number(force_n, material.young_modulus_pa, body.grid.edge_m), frozenset(flags))
 
 
 def _contact(load: Load, depth_m: DepthImage, camera: Intrinsics, field: str) -> Vector3:

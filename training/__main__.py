@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import functools
+import json
 import os
 import sys
 from pathlib import Path
@@ -22,6 +23,32 @@ def main(arguments: list[str] | None = None) -> int:
     simulate.add_argument("--seed", type=int, default=0)
     simulate.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     simulate.set_defaults(run=_simulate)
+
+    fit = commands.add_parser("fit", help="train a network, from where its run last stopped")
+    fit.add_argument("network", choices=["reconstruction", "deformation"])
+    fit.add_argument("--data", type=Path, required=True, help="folder of the data set")
+    fit.add_argument("--run", dest="run_folder", type=Path, required=True, help="folder of the run")
+    fit.add_argument("--steps", type=int, help="optimizer steps in all")
+    fit.add_argument("--batch", type=int)
+    fit.add_argument("--learning-rate", type=float)
+    fit.add_argument("--seed", type=int)
+    fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    fit.set_defaults(run=_fit)
+
+    evaluate = commands.add_parser("evaluate", help="score a run on bodies it has never seen")
+    evaluate.add_argument("--run", dest="run_folder", type=Path, required=True)
+    evaluate.add_argument("--data", type=Path, required=True)
+    evaluate.add_argument("--split", choices=["validation", "test"], default="test")
+    evaluate.set_defaults(run=_evaluate)
+
+    export = commands.add_parser("export", help="evaluate a run and write it as an ONNX graph with manifest and card")
+    export.add_argument("network", choices=["reconstruction", "deformation"])
+    export.add_argument("--run", dest="run_folder", type=Path, required=True)
+    export.add_argument("--data", type=Path, required=True)
+    export.add_argument("--models", type=Path, default=Path("models"), help="folder that holds all models")
+    export.add_argument("--name", required=True)
+    export.add_argument("--version", required=True)
+    export.set_defaults(run=_export)
 
     options = parser.parse_args(arguments)
     code: int = options.run(options)
@@ -45,7 +72,66 @@ def _simulate(options: argparse.Namespace) -> int:
         draw = functools.partial(views.draw_group, views_config)
         configuration = {"set": "views", "groups": options.groups, **dataclasses.asdict(views_config)}
     manifest = fill(Store(options.out), draw, range(options.groups), options.workers, configuration)
-    print(f"{manifest['samples']} samples in {manifest['groups']} groups, dropped {manifest['dropped']}", file=sys.stderr)
+    print(
+        f"{manifest['samples']} samples in {manifest['groups']} groups, dropped {manifest['dropped']}", file=sys.stderr
+    )
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    import torch
+
+    from training.data.store import StoreError
+    from training.runs import Run, RunError
+
+    torch.set_num_threads(options.threads)
+    chosen = {key: getattr(options, key) for key in ("steps", "batch", "learning_rate", "seed")}
+    chosen = {key: value for key, value in chosen.items() if value is not None}
+    run = Run(options.run_folder)
+    try:
+        if options.network == "deformation":
+            from training.fit_deformation import FitDeformationConfig, fit_deformation
+
+            fit_deformation(options.data, run, FitDeformationConfig(**chosen))
+        else:
+            from training.fit_reconstruction import FitReconstructionConfig, fit_reconstruction
+
+            fit_reconstruction(options.data, run, FitReconstructionConfig(**chosen))
+    except (RunError, StoreError) as error:
+        print(f"physnet-train: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
+        return 130
+    return 0
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from training.evaluate import evaluate
+
+    threshold, figures = evaluate(options.run_folder / "checkpoint.pt", options.data, options.split)
+    print(json.dumps({"threshold": threshold, **figures}, indent=1))
+    return 0
+
+
+def _export(options: argparse.Namespace) -> int:
+    from training.data.batches import DeformationSet
+    from training.evaluate import evaluate
+    from training.export import ExportError, condition_range_of, export_model
+
+    checkpoint = options.run_folder / "checkpoint.pt"
+    threshold, figures = evaluate(checkpoint, options.data, "test")
+    ranges = {}
+    if options.network == "deformation":
+        ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
+    try:
+        manifest = export_model(
+            checkpoint, options.network, options.models, options.name, options.version, threshold, ranges, figures
+        )
+    except ExportError as error:
+        print(f"physnet-train: {error}", file=sys.stderr)
+        return 1
+    print(f"{manifest.name} {manifest.version}: differs from torch by {manifest.parity:.1e}; {json.dumps(figures)}")
     return 0
 
 

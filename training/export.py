@@ -1,4 +1,4 @@
-"""From a checkpoint to a self-contained ONNX graph with its manifest; a graph that differs from torch is not written."""
+"""From a checkpoint to a self-contained ONNX graph with its manifest, refused where it differs from torch."""
 
 from __future__ import annotations
 
@@ -91,7 +91,9 @@ def export_model(
         _write_onnx(graph, tensors, candidate)
         parity = max(_difference(graph, tensors, candidate, seed) for seed in range(3))
         if parity > PARITY_TOLERANCE:
-            raise ExportError(f"torch and ONNX Runtime differ by {parity:.2e} (at most {PARITY_TOLERANCE:.0e}); not written")
+            raise ExportError(
+                f"torch and ONNX Runtime differ by {parity:.2e} (at most {PARITY_TOLERANCE:.0e}); not written"
+            )
         candidate.replace(folder / "model.onnx")
     manifest = Manifest(
         name=name, version=version, kind=kind, graph="model.onnx",
@@ -196,12 +198,11 @@ A {manifest.kind} network of PhysNet, exported from run `{manifest.run}` at comm
 |---|---|
 {rows}
 
-Occupancy threshold: {manifest.threshold}. Largest difference between torch and ONNX Runtime at export: {manifest.parity:.1e}.
+Occupancy threshold: {manifest.threshold}. Largest difference between torch and ONNX Runtime at export:
+{manifest.parity:.1e}.
 
 - Network: `{json.dumps(manifest.configuration["network"])}`
 - Training: `{json.dumps(settings)}`
 - Data: {data["samples"]} samples in {data["groups"]} groups, `{data["digest"]}`, made at `{data["code"]}` by
   `{json.dumps(data["configuration"])}`
 """
-
-

@@ -91,7 +91,9 @@ class Run:
     def check_finite(self, loss: Tensor, step: int) -> None:
         """Raises: RunError: The loss is NaN or infinite; the last good checkpoint stays."""
         if not torch.isfinite(loss):
-            raise RunError(f"the loss is {float(loss)} at step {step}; the last checkpoint is kept: {self.checkpoint_path}")
+            raise RunError(
+                f"the loss is {float(loss)} at step {step}; the last checkpoint is kept: {self.checkpoint_path}"
+            )
 
     def log(self, step: int, figures: dict[str, float]) -> None:
         """One row of validation figures to log.csv and to the terminal."""

@@ -122,9 +122,7 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _enclosing_grid(
-    centres: Float32[np.ndarray, "n 3"], grid: Grid, source_from_body: Matrix3, on_floor: bool
-) -> Grid:
+def _enclosing_grid(centres: Float32[np.ndarray, "n 3"], grid: Grid, source_from_body: Matrix3, on_floor: bool) -> Grid:
     """Cube around the occupied voxels with the given axes, its bottom on the source's floor or the lowest voxel."""
     local = centres @ source_from_body.astype(np.float32)
     half = grid.pitch_m / 2

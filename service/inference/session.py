@@ -26,9 +26,7 @@ def open_session(directory: Path, manifest: Manifest, threads: int) -> onnxrunti
     options.inter_op_num_threads = 1
     # Spinning threads would take the cores from whoever else lives on the robot's computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    session = onnxruntime.InferenceSession(
-        str(directory / manifest.graph), options, providers=["CPUExecutionProvider"]
-    )
+    session = onnxruntime.InferenceSession(str(directory / manifest.graph), options, providers=["CPUExecutionProvider"])
     for what, specs, tensors in (
         ("inputs", manifest.inputs, session.get_inputs()),
         ("outputs", manifest.outputs, session.get_outputs()),

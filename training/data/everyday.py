@@ -58,7 +58,6 @@ class EverydayConfig:
     inward: tuple[float, float] = (0.0, 0.8)
 
 
-
 def place_in_body_grid(shape: Shape) -> Shape:
     """The shape in the unit cube, aligned by the very function that aligns what the service reconstructs."""
     low, high = np.asarray(shape.bounds).T
