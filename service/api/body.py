@@ -7,7 +7,7 @@ import sys
 import time
 from collections.abc import AsyncGenerator
 
-from starlette.datastructures import UploadFile
+from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
@@ -51,6 +51,16 @@ async def read_multipart(request: Request, max_bytes: int, deadline: float) -> t
         form = await parser.parse()
     except MultiPartException as error:
         raise InvalidRequest(f"The body is not multipart/form-data: {error.message}", expected="parts") from None
+    try:
+        parts = await _parts(form)
+    finally:
+        await form.close()
+    if "request" not in parts:
+        raise InvalidRequest("The part `request` is missing.", field="request", expected="a part with JSON")
+    return parts.pop("request"), parts
+
+
+async def _parts(form: FormData) -> dict[str, bytes]:
     parts: dict[str, bytes] = {}
     for name, value in form.multi_items():
         if name not in ("request", *FILE_PARTS):
@@ -59,9 +69,7 @@ async def read_multipart(request: Request, max_bytes: int, deadline: float) -> t
         if name in parts:
             raise InvalidRequest(f"The part `{name}` is there twice.", field=name, expected="one part")
         parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
-    if "request" not in parts:
-        raise InvalidRequest("The part `request` is missing.", field="request", expected="a part with JSON")
-    return parts.pop("request"), parts
+    return parts
 
 
 async def _limited(request: Request, max_bytes: int, deadline: float) -> AsyncGenerator[bytes, None]:
