@@ -46,21 +46,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
             name = "_".join(str(step) for step in detail["loc"])
             print(f"physnet: setting {name} (PHYSNET_{name.upper()}): {detail['msg']}", file=sys.stderr)
         return USAGE
+    except BrokenPipeError:
+        return OK
     except OSError as error:
         print(f"physnet: {error}", file=sys.stderr)
         return FAILED
     except ModelMismatch as error:
         print(f"physnet: {error.message}", file=sys.stderr)
         return FAILED
-    except BrokenPipeError:
-        return OK
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="physnet", description="From one depth frame to the shape an object takes under a push.", epilog=_EPILOG
     )
-    commands = parser.add_subparsers(required=True, metavar="command")
+    commands = parser.add_subparsers(required=True, metavar="serve|predict|materials|models")
     models = argparse.ArgumentParser(add_help=False)
     models.add_argument("--models", type=Path, metavar="DIR", help="directory of the models (PHYSNET_MODELS)")
     models.add_argument("--threads", type=int, metavar="N", help="threads of each network (PHYSNET_THREADS)")
@@ -203,7 +203,10 @@ def _predict(given: argparse.Namespace) -> int:
 
 def _request_body(given: argparse.Namespace) -> dict[str, Any]:
     """The same document that a robot would post, so that both are checked by the same rules."""
-    known = json.loads(given.intrinsics.read_text("utf-8"))
+    try:
+        known = dict(json.loads(given.intrinsics.read_text("utf-8")))
+    except (ValueError, TypeError) as error:
+        raise _UsageError(f"--intrinsics: {given.intrinsics} is not a JSON object: {error}") from None
     camera = {name: known[name] for name in _INTRINSICS if name in known}
     unit_m = given.unit_m if given.unit_m is not None else known.get("depth_unit_m")
     encoding = given.encoding or ("npy" if given.depth.suffix == ".npy" else "png16")

@@ -45,6 +45,7 @@ def start_service(log: Path, *arguments: str, timeout_s: float = 60.0) -> LiveSe
     if not line.startswith("ready http="):
         process.kill()
         process.wait()
+        process.stdout.close()
         pytest.fail(f"no ready line but {line!r}; log:\n{log.read_text('utf-8')}")
     return LiveService(f"http://{line.split('http=')[1].split()[0]}", line.rstrip("\n"), process, log)
 

@@ -180,7 +180,11 @@ def test_the_reply_fits_its_schema_and_keeps_every_voxel():
         (["deformed"], set(), {"deformed"}),
         (["deformed", "displacement"], set(), {"deformed", "displacement"}),
         (["probability"], set(), {"probability"}),
-        (ALL, {"observed", "reconstruction", "reconstruction_probability"}, {"deformed", "probability", "displacement"}),
+        (
+            ALL,
+            {"observed", "reconstruction", "reconstruction_probability"},
+            {"deformed", "probability", "displacement"},
+        ),
     ],
 )
 def test_outputs_choose_what_is_sent(outputs, top, load):

@@ -290,7 +290,8 @@ def test_a_full_queue_is_told_with_retry_after_and_a_vanished_client_frees_its_p
 
         def post(timeout: float = 10) -> None:
             try:
-                replies.append(httpx.post(f"{service.url}/v1/deform", json=SCENE.request(), timeout=timeout).status_code)
+                reply = httpx.post(f"{service.url}/v1/deform", json=SCENE.request(), timeout=timeout)
+                replies.append(reply.status_code)
             except httpx.TimeoutException:
                 replies.append(0)
 
