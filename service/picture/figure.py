@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, DepthImage, Occupancy, Vector3
 from service.core.grids import Grid, invert_rigid
-from service.picture.raycast import Field, Rgb, View, blur, sample, view_from_camera
+from service.picture.raycast import Field, Rgb, View, blur, view_from_camera
 from service.picture.shading import solid, voxels
 
 try:
@@ -23,7 +23,8 @@ try:
 except ModuleNotFoundError as missing:
     raise ModuleNotFoundError("Pictures need matplotlib: pip install 'physnet[pictures]'") from missing
 
-_PANEL_PX = 440
+Displacement = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
+
 _DPI = 100
 _INK = "#22262b"
 _FAINT = "#7a828c"
@@ -42,12 +43,13 @@ def deformation_picture(
     observed: Occupancy | None,
     reconstruction: Occupancy,
     deformed: Occupancy,
-    displacement_m: Float32[np.ndarray, "axis=3 x=64 y=64 z=64"] | None,
+    displacement_m: Displacement | None,
     grid: Grid,
     intrinsics: tuple[float, float, float, float] | None,
     contact_m: Vector3,
     force_n: Vector3,
     caption: str,
+    panel_px: int = 440,
 ) -> bytes:
     """Draw the panels side by side, all bodies from one viewpoint at one scale.
 
@@ -63,14 +65,14 @@ def deformation_picture(
         contact_m: Contact in the camera frame.
         force_n: Force in the camera frame, newtons; a zero force draws no arrow.
         caption: Title line.
+        panel_px: Edge of each square panel; the whole picture is about 4.3 times as wide.
 
     Returns:
         A PNG.
     """
-    view = view_from_camera(grid.camera_from_grid, reconstruction | deformed, _PANEL_PX, _PANEL_PX)
+    view = view_from_camera(grid.camera_from_grid, reconstruction | deformed, panel_px, panel_px)
     line_pitch_m = _nice_length(1.6 * view.half_width * grid.pitch_m / 5)
     line_pitch = line_pitch_m / grid.pitch_m
-    moved = None
     force = float(np.linalg.norm(force_n))
 
     rest_image, rest_cover = solid(reconstruction, _REST, view, None, line_pitch)
@@ -81,7 +83,6 @@ def deformation_picture(
         magnitude_m = np.linalg.norm(displacement_m, axis=0).astype(np.float32)
         peak_m = float(magnitude_m[deformed].max(initial=0.0))
         level = _beyond_surface(magnitude_m, deformed) / max(peak_m, 1e-9)
-        moved = np.stack([_beyond_surface(u / np.float32(grid.pitch_m), deformed) for u in displacement_m])
         colours = np.asarray(_DISPLACEMENT(np.linspace(0, 1, 256))[:, :3], np.float32)
         deformed_image, _ = solid(deformed, level.astype(np.float32), view, colours, line_pitch)
 
@@ -90,7 +91,7 @@ def deformation_picture(
         panels.append(("observed", voxels(observed, _OBSERVED, view, line_pitch)))
     panels += [("reconstruction", rest_image), ("deformed", deformed_image)]
 
-    figure, axes = _layout(len(panels) + (depth_m is not None), caption)
+    figure, axes = _layout(len(panels) + (depth_m is not None), panel_px, caption)
     if depth_m is not None:
         assert intrinsics is not None, "a depth frame is drawn with its intrinsics"
         _draw_frame(axes[0], depth_m, intrinsics, contact_m, force_n, grid)
@@ -98,8 +99,8 @@ def deformation_picture(
         _title(axis, title)
         axis.imshow(np.clip(image, 0, 1), interpolation="none", aspect="equal")
         axis.set_autoscale_on(False)
-    _draw_arrow(axes[-2], *_arrow_in_view(grid, view, contact_m, force_n, None), f"{force:.3g} N")
-    _draw_arrow(axes[-1], *_arrow_in_view(grid, view, contact_m, force_n, moved), None)
+    _draw_arrow(axes[-2], *_arrow_in_view(grid, view, contact_m, force_n, deformed, None), f"{force:.3g} N")
+    _draw_arrow(axes[-1], *_arrow_in_view(grid, view, contact_m, force_n, deformed, displacement_m), None)
     for halo, width, style in (("white", 2.6, "-"), (_INK, 1.1, "--")):
         axes[-1].contour(rest_cover, levels=[0.5], colors=halo, linewidths=width, linestyles=style, alpha=0.85)
     axes[-1].text(0.5, 0.02, "dashed: at rest", transform=axes[-1].transAxes, ha="center", color=_FAINT, fontsize=9)
@@ -114,17 +115,17 @@ def deformation_picture(
     return out.getvalue()
 
 
-def _layout(panels: int, caption: str) -> tuple[Figure, list[Axes]]:
+def _layout(panels: int, panel_px: int, caption: str) -> tuple[Figure, list[Axes]]:
     """Square axes in one row, one image pixel a figure pixel; room for the title above and the colour bar beside."""
     gap, top, bottom, left, right = 14, 74, 10, 14, 92
-    width = left + right + panels * _PANEL_PX + (panels - 1) * gap
-    height = top + bottom + _PANEL_PX
+    width = left + right + panels * panel_px + (panels - 1) * gap
+    height = top + bottom + panel_px
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
     figure.text(left / width, 1 - 18 / height, caption, ha="left", va="top", fontsize=14, color=_INK, weight="bold")
     axes = []
     for panel in range(panels):
-        x = left + panel * (_PANEL_PX + gap)
-        axis = figure.add_axes((x / width, bottom / height, _PANEL_PX / width, _PANEL_PX / height))
+        x = left + panel * (panel_px + gap)
+        axis = figure.add_axes((x / width, bottom / height, panel_px / width, panel_px / height))
         axis.set_axis_off()
         axes.append(axis)
     return figure, axes
@@ -178,21 +179,24 @@ def _draw_frame(
 
 
 def _arrow_in_view(
-    grid: Grid, view: View, contact_m: Vector3, force_n: Vector3, moved: Float32[np.ndarray, "axis=3 x y z"] | None
+    grid: Grid,
+    view: View,
+    contact_m: Vector3,
+    force_n: Vector3,
+    deformed: Occupancy,
+    displacement_m: Displacement | None,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
     """Tail and tip in pixels of a 3D panel; the arrow ends at the contact, as a finger that pushes does.
 
-    `moved` is the displacement in voxels, known also a little outside the body: the contact goes along with it.
+    With a displacement the contact has gone along with the body.
     """
     grid_from_camera = invert_rigid(grid.camera_from_grid)
     contact = (grid_from_camera[:3, :3] @ contact_m + grid_from_camera[:3, 3]) / grid.pitch_m
-    if moved is not None:
-        # The field is known where the material has come to rest: x + u(y) = y, by fixed-point steps.
-        at = contact
-        for _ in range(10):
-            here = at[None].astype(np.float32)
-            at = contact + np.array([float(sample(component, here)[0]) for component in moved])
-        contact = at
+    if displacement_m is not None and deformed.any():
+        # The field is known where the material has come to rest, so the contact is the voxel that came from there.
+        now = np.argwhere(deformed)
+        moved = displacement_m[:, *now.T].T / grid.pitch_m
+        contact = contact + moved[np.argmin(np.linalg.norm(now + 0.5 - moved - contact, axis=1))]
     force = float(np.linalg.norm(force_n))
     direction = grid_from_camera[:3, :3] @ force_n / force if force > 0 else np.zeros(3)
     tail, tip = view.project(np.stack([contact - 0.3 * GRID_SIZE * direction, contact]))

@@ -84,19 +84,18 @@ def view_from_camera(camera_from_grid: Transform, body: Occupancy, rows: int, co
 
 
 def smooth_field(occupancy: Occupancy) -> Field:
-    """A smooth field that is above ½ in exactly the filled voxels: walls one voxel thin survive, stairs vanish.
+    """A field without the lattice's stairs that is still above ½ in exactly the filled voxels.
 
-    Source: constrained elastic surface nets, Gibson 1998, "Constrained elastic surface nets", with a blur as the
-    elastic step.
+    A blur alone would lose walls one voxel thin and shrink what is round. Held away from ½ on either side, the level
+    moves by less than a tenth of a voxel on a ball of radius 14, and such a wall keeps 95 % of its area; wider limits
+    bring the stairs back.
     """
-    sign = np.pad(occupancy, ((2, 2), (2, 2), (0, 2)))
+    sign = np.pad(occupancy, ((4, 4), (4, 4), (0, 4)))
     # The body goes on below the plane it stands on, so that its foot is cut there and not rounded off.
-    sign = np.pad(sign, ((0, 0), (0, 0), (2, 0)), mode="edge")
-    field = sign.astype(np.float32)
-    for _ in range(6):
-        field = blur(field, 1.2)
-        field = np.where(sign, np.maximum(field, 0.52), np.minimum(field, 0.48)).astype(np.float32)
-    return blur(field, 0.6)[2:-2, 2:-2, 2:-2]
+    sign = np.pad(sign, ((0, 0), (0, 0), (4, 0)), mode="edge")
+    field = blur(sign.astype(np.float32), 1.3)
+    held = np.where(sign, np.maximum(field, 0.58), np.minimum(field, 0.45))
+    return np.ascontiguousarray(held[4:-4, 4:-4, 4:-4], np.float32)
 
 
 def blur(field: Field, sigma: float) -> Field:
@@ -152,9 +151,12 @@ def cast(field: Field, view: View) -> tuple[Bool[np.ndarray, " rays"], Places]:
     if not len(filled):
         return hit, np.zeros((0, 3), np.float32)
     low, high = np.maximum(filled.min(0) - 1.0, [-1, -1, 0]), filled.max(0) + 2.0
-    with np.errstate(divide="ignore", invalid="ignore"):
-        bounds = np.stack([(low - origins) / ray, (high - origins) / ray]).astype(np.float32)
-    enter, leave = np.nanmax(bounds.min(0), axis=1), np.nanmin(bounds.max(0), axis=1)
+    enter, leave = np.zeros(len(origins), np.float32), np.full(len(origins), np.inf, np.float32)
+    for axis in range(3):
+        slope = 1 / ray[axis] if abs(ray[axis]) > 1e-6 else np.float32(1e6)
+        first, second = (np.float32(side) * slope - origins[:, axis] * slope for side in (low[axis], high[axis]))
+        np.maximum(enter, np.minimum(first, second), out=enter)
+        np.minimum(leave, np.maximum(first, second), out=leave)
     active = np.flatnonzero(enter < leave)
     distance = enter[active]
     end = leave[active]
@@ -175,10 +177,14 @@ def cast(field: Field, view: View) -> tuple[Bool[np.ndarray, " rays"], Places]:
     order = np.argsort(rays)
     rays, at = rays[order], at[order]
     inside, outside = at, at - np.float32(_STEP)
-    for _ in range(6):  # halves the step to 1/128 voxel
-        middle = (inside + outside) / 2
-        filled_there = sample(field, origins[rays] + middle[:, None] * ray) > 0.5
-        inside, outside = np.where(filled_there, middle, inside), np.where(filled_there, outside, middle)
+    excess, deficit = (sample(field, origins[rays] + t[:, None] * ray) - np.float32(0.5) for t in (inside, outside))
+    for _ in range(2):  # false position: the field is smooth over half a voxel
+        share = np.clip(excess / np.maximum(excess - deficit, 1e-6), 0.02, 0.98)
+        between = inside + share * (outside - inside)
+        value = sample(field, origins[rays] + between[:, None] * ray) - np.float32(0.5)
+        above = value > 0
+        inside, excess = np.where(above, between, inside), np.where(above, value, excess)
+        outside, deficit = np.where(above, outside, between), np.where(above, deficit, value)
     hit[rays] = True
     return hit, origins[rays] + inside[:, None] * ray
 
