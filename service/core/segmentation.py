@@ -44,6 +44,9 @@ MAX_EXTENT_M = 0.5
 MASK_TOLERANCES = 0.5
 """The same for points of a mask, which says itself what is object; the rest is the mask's bleeding onto the table."""
 
+FACE_SHARE = 0.1
+"""With nothing above a plane and this share of the readings below it, the plane is no support."""
+
 IMAGE_UP = np.array([0.0, -1.0, 0.0])
 """Stands in for `up` where only parts of one mask are told apart."""
 
@@ -134,8 +137,9 @@ def _segment_masked(
     few = points[:: max(1, len(points) // 300)]
     support = _support_around(depth_m, intrinsics, masked, few, up)
     if support is not None:
-        shown &= support.clearance(view) > MASK_TOLERANCES
-        _require_points(shown, "Too little of the mask rises above the support plane.", "mask")
+        clearance = support.clearance(view)
+        _require_points(shown & (clearance > 1.0), "Too little of the mask rises above the support plane.", "mask")
+        shown &= clearance > MASK_TOLERANCES
         points = view.points(shown)
     known_up = support.fitted.normal if support is not None else up
     kept = _without_background(points, IMAGE_UP if known_up is None else known_up)
@@ -156,14 +160,25 @@ def _segment_cluster(
         nearest = np.argmin(_distance_to_middle(scene, readable, window, intrinsics))
         place_m = points[nearest].astype(np.float64)
     support = _fit_support(points, place_m, known_object, up)
-    level = up if support is None else support.fitted.normal
-    if level is None:
+    found = None if support is None else _find_object(depth_m, intrinsics, window, support, None, place_m, contact_m)
+    if support is not None and found is None:
+        # Nothing above the plane but much below it: that plane is a face of the object.
+        if np.mean(support.clearance(scene)[readable] < -2.0) < FACE_SHARE:
+            raise EmptyObject(
+                "No object stands above the support plane there; send a mask, or a contact on it.", field="depth"
+            )
+        support = None
+    if support is None and up is None:
         raise NoSupportPlane(
             "No support plane is visible around the object; send `up`, or a mask of the object.",
             field="up",
             expected="`up`, `mask`, or a visible support plane",
         )
-    footprints, label, seen = _find_object(depth_m, intrinsics, window, support, level, place_m, contact_m)
+    if found is None:
+        found = _find_object(depth_m, intrinsics, window, None, up, place_m, contact_m)
+    if found is None:
+        raise EmptyObject("No object is seen there; send a mask, or a contact on it.", field="depth")
+    footprints, label, seen = found
     view = view_depth(depth_m, intrinsics, seen)
     shown = on_surface(view.z_m)
     if support is not None:
@@ -179,11 +194,15 @@ def _find_object(
     intrinsics: Intrinsics,
     window: Window,
     support: _Support | None,
-    level: Vector3,
+    up: Vector3 | None,
     place_m: Vector3,
     contact_m: Vector3 | None,
-) -> tuple[Footprints, int, Window]:
-    """The map of footprints, the label of the object's and the window of the image that it is seen in."""
+) -> tuple[Footprints, int, Window] | None:
+    """The map of footprints, the label of the object's and the window of the image that it is seen in.
+
+    Without a support everything seen may be the object, and footprints are seen along `up`.
+    """
+    level = support.fitted.normal if support is not None else IMAGE_UP if up is None else up
     stride = max(1, round(intrinsics.width / COARSE_WIDTH))
     view = view_depth(depth_m, intrinsics, window, stride)
     surface = on_surface(view.z_m)
@@ -212,10 +231,6 @@ def _find_object(
             found = footprints, label, _enlarge(window_around(seen), view, 2 * stride + 2, window, depth_m.shape)
         if not wide:
             break
-    if found is None:
-        raise EmptyObject(
-            "No object stands above the support plane there; send a mask, or a contact on the object.", field="depth"
-        )
     return found
 
 
@@ -228,7 +243,11 @@ def _nearest_footprint(labels: Int32[np.ndarray, " n"], distance: Float32[np.nda
 
 
 def _support_around(
-    depth_m: DepthImage, intrinsics: Intrinsics, mask: Mask, object_points: Points, up: Vector3 | None
+    depth_m: DepthImage,
+    intrinsics: Intrinsics,
+    mask: Mask,
+    object_points: Float32[np.ndarray, "known 3"],
+    up: Vector3 | None,
 ) -> _Support | None:
     """The plane in the surroundings of a mask; failing that, anywhere in the image."""
     # Masks are a little too tight as often as too wide: what lies right beside one is neither object nor table.
@@ -250,7 +269,9 @@ def _sample(depth_m: DepthImage, intrinsics: Intrinsics, window: Window) -> Dept
     return view_depth(depth_m, intrinsics, window, max(1, round((rows * columns / PLANE_SAMPLES) ** 0.5)))
 
 
-def _fit_support(points: Points, place_m: Vector3, known_object: Points, up: Vector3 | None) -> _Support | None:
+def _fit_support(
+    points: Points, place_m: Vector3, known_object: Float32[np.ndarray, "known 3"], up: Vector3 | None
+) -> _Support | None:
     distance = np.linalg.norm(points - place_m.astype(np.float32), axis=1)
     reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
     weights = 1.0 / np.square(1.0 + np.square(distance / reach_m))

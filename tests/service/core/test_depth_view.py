@@ -1,0 +1,65 @@
+"""Windows of a depth image, and the readings that hang in the air."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from service.core.camera import back_project
+from service.core.depth_view import on_surface, view_depth, window_around
+from tests.synthetic_scenes import CAMERA, Box, render
+
+SCENE = render([Box((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))])
+
+
+def test_points_of_a_whole_view_are_those_of_the_camera() -> None:
+    view = view_depth(SCENE.depth_m, CAMERA)
+    readable = np.isfinite(view.z_m)
+    np.testing.assert_array_equal(view.points(readable), back_project(SCENE.depth_m, CAMERA))
+
+
+def test_thinned_window_reads_the_pixels_it_names() -> None:
+    window = (slice(100, 300), slice(50, 400))
+    view = view_depth(SCENE.depth_m, CAMERA, window, 3)
+    where = view.crop(SCENE.shown == 0)
+    row, column = view.pixels(where)
+    assert len(row) > 100
+    assert (SCENE.shown[row, column] == 0).all()
+    np.testing.assert_array_equal(view.points(where)[:, 2], SCENE.depth_m[row, column])
+
+
+def test_heights_are_those_of_the_table() -> None:
+    view = view_depth(SCENE.depth_m, CAMERA, stride=2)
+    heights_m = view.heights_m(SCENE.up, SCENE.offset_m)
+    assert np.abs(heights_m[view.crop(SCENE.shown == -1)]).max() < 1e-5
+    assert abs(heights_m[view.crop(SCENE.shown == 0)].max() - 0.1) < 1e-5
+
+
+def test_window_around_a_mask_is_cut_at_the_border() -> None:
+    mask = np.zeros((480, 640), bool)
+    mask[2:12, 600:640] = True
+    assert window_around(mask) == (slice(2, 12), slice(600, 640))
+    assert window_around(mask, margin=0.5, margin_px=8) == (slice(0, 20), slice(580, 640))
+
+
+def test_pixels_between_two_surfaces_are_not_on_one() -> None:
+    z_m = np.full((20, 20), 0.6, np.float32)
+    z_m[:, 10:] = 0.9
+    z_m[:, 10] = 0.7  # a smeared edge
+    assert on_surface(z_m)[:, :10].all()
+    assert not on_surface(z_m)[:, 10].any()
+    assert on_surface(z_m)[:, 11:].all()
+
+
+def test_lone_pixels_and_holes_are_not_on_a_surface() -> None:
+    z_m = np.full((20, 20), 0.6, np.float32)
+    z_m[5, 5], z_m[8, 8] = 0.3, np.nan
+    surface = on_surface(z_m)
+    assert not surface[5, 5]
+    assert not surface[8, 8]
+    assert surface.sum() == 398
+
+
+def test_thin_rod_is_a_surface() -> None:
+    z_m = np.full((20, 20), 0.9, np.float32)
+    z_m[:, 7] = 0.6
+    assert on_surface(z_m).all()
