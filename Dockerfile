@@ -8,7 +8,6 @@ WORKDIR /src
 RUN python -m venv /opt/physnet
 # What the wheel is made of, and nothing else: a change to tests or documents rebuilds nothing.
 COPY pyproject.toml README.md LICENSE ./
-COPY examples/frames/LICENCE-6dof-graspnet.txt examples/frames/
 COPY models models
 COPY training training
 COPY service service

@@ -229,7 +229,7 @@ def _within(axis: Axes, tail: tuple[float, float], tip: tuple[float, float]) -> 
     """Shorten an arrow so that its tail, and a label there, stay in the panel."""
     share = 1.0
     for limits, start, end in zip((axis.get_xlim(), axis.get_ylim()), tail, tip, strict=True):
-        margin = 0.09 * abs(limits[1] - limits[0])
+        margin = 0.14 * abs(limits[1] - limits[0])
         low, high = min(limits) + margin, max(limits) - margin
         if start < low or start > high:
             share = min(share, max((min(max(start, low), high) - end) / (start - end), 0.0))

@@ -80,7 +80,7 @@ def view_from_camera(camera_from_grid: Transform, body: Occupancy, rows: int, co
     up = np.cross(toward, right)
     offset = filled - middle if len(filled) else np.zeros((1, 3))
     reach = max(np.abs(offset @ right).max() / cols, np.abs(offset @ up).max() / rows, 8 / max(rows, cols))
-    return View(right, up, toward, middle, 1.3 * reach * cols, 1.3 * reach * rows, rows, cols)
+    return View(right, up, toward, middle, 1.45 * reach * cols, 1.45 * reach * rows, rows, cols)
 
 
 def smooth_field(occupancy: Occupancy) -> Field:
@@ -191,5 +191,5 @@ def cast(field: Field, view: View) -> tuple[Bool[np.ndarray, " rays"], Places]:
 
 def normals(field: Field, places: Places) -> Places:
     """Outward unit normals: the field falls from inside to outside."""
-    slope = np.stack([sample(np.ascontiguousarray(axis), places) for axis in np.gradient(blur(field, 0.9))], -1)
+    slope = np.stack([sample(np.ascontiguousarray(axis), places) for axis in np.gradient(blur(field, 1.3))], -1)
     return np.asarray(-slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-9), np.float32)

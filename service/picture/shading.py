@@ -117,14 +117,16 @@ def _occluded(field: Field, places: Places, light: Light) -> Float32[np.ndarray,
     """Share of the light that the body keeps from a place: 0 in the open, 1 in full shadow."""
     blocked = np.zeros(len(places), np.float32)
     active = np.arange(len(places))
+    filled = np.argwhere(field > 0.25)
+    low, high = (filled.min(0), filled.max(0) + 1) if len(filled) else (np.zeros(3), np.zeros(3))
     for distance in np.arange(0.5, 1.8 * GRID_SIZE, 1.5, dtype=np.float32):
         at = places[active] + distance * light
-        # What has left the grid upwards or is already dark stays as it is; what has yet to enter it goes on.
-        inside = ((at > 0) & (at < GRID_SIZE)).all(1)
+        inside = ((at > low) & (at < high)).all(1)
         # A soft edge: what is just outside the surface already takes some of the light.
         veil = np.clip((sample(field, at[inside]) - 0.25) * 2.5, 0, 1)
         blocked[active[inside]] = np.maximum(blocked[active[inside]], veil)
-        gone = ((at < 0) & (light < 0)).any(1) | ((at > GRID_SIZE) & (light > 0)).any(1)
+        # What has passed the body or is already dark stays as it is; what has yet to reach it goes on.
+        gone = ((at < low) & (light < 0)).any(1) | ((at > high) & (light > 0)).any(1)
         active = active[~gone & (blocked[active] < 1)]
         if not len(active):
             break

@@ -54,7 +54,8 @@ def test_rays_stop_on_the_near_side_of_a_ball_and_normals_point_out(view: View) 
     _, places = cast(field, view)
     distance = np.linalg.norm(places - CENTRE, axis=1)
     assert np.abs(distance - RADIUS).mean() < 0.1
-    assert ((places - CENTRE) @ view.toward > -2.0).all()
+    # A ray that grazes the rim 0.3 voxel inside it meets the stairs of a voxel ball up to 3 voxels late.
+    assert ((places - CENTRE) @ view.toward > -3.0).all()
     radial = (places - CENTRE) / distance[:, None]
     assert np.median((normals(field, places) * radial).sum(1)) > 0.99
 
