@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
@@ -33,7 +34,6 @@ class DepthView:
         ray_y: y/z of the ray through each pixel.
         first_pixel: (row, column) of the upper left pixel in the image.
         stride: Distance between neighbouring pixels of the view in the image.
-        image_width: Columns of the whole image.
     """
 
     z_m: Float32[np.ndarray, "rows columns"]
@@ -41,7 +41,6 @@ class DepthView:
     ray_y: Float32[np.ndarray, "rows columns"]
     first_pixel: tuple[int, int]
     stride: int
-    image_width: int
 
     def heights_m(self, normal: Vector3, offset_m: float) -> Float32[np.ndarray, "rows columns"]:
         """Signed height of every reading above a plane, metres; NaN where there is no reading."""
@@ -67,7 +66,10 @@ class DepthView:
         self, where: Bool[np.ndarray, "rows columns"]
     ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
         """(rows, columns) in the whole image of the chosen readings, in row-major order."""
-        row, column = np.divmod(np.flatnonzero(where), self.z_m.shape[1])
+        rows, columns = where.shape
+        # Counting along rows spares an integer division for each pixel.
+        row = np.repeat(np.arange(rows), np.count_nonzero(where, axis=1))
+        column = np.flatnonzero(where) - row * columns
         return row * self.stride + self.first_pixel[0], column * self.stride + self.first_pixel[1]
 
     def crop(self, mask: Mask) -> Bool[np.ndarray, "rows columns"]:
@@ -84,9 +86,22 @@ def view_depth(depth_m: DepthImage, intrinsics: Intrinsics, window: Window = WHO
     """Look at a window of a depth image; an empty window gives an empty view."""
     rows, columns = (side.indices(size) for side, size in zip(window, depth_m.shape, strict=True))
     grid = (slice(rows[0], rows[1], stride), slice(columns[0], columns[1], stride))
-    ray_x, ray_y = ray_grid(intrinsics)
-    z_m, x, y = (np.ascontiguousarray(image[grid]) for image in (depth_m, ray_x, ray_y))
-    return DepthView(z_m, x, y, (rows[0], columns[0]), stride, depth_m.shape[1])
+    if window == WHOLE_IMAGE:
+        ray_x, ray_y = _thinned_rays(intrinsics, stride)
+    else:
+        ray_x, ray_y = (np.ascontiguousarray(image[grid]) for image in ray_grid(intrinsics))
+    return DepthView(np.ascontiguousarray(depth_m[grid]), ray_x, ray_y, (rows[0], columns[0]), stride)
+
+
+@lru_cache(maxsize=8)
+def _thinned_rays(
+    intrinsics: Intrinsics, stride: int
+) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
+    """Rays of every `stride`-th pixel, gathered once for a camera: strided reads cost more than the arithmetic."""
+    ray_x, ray_y = (np.ascontiguousarray(image[::stride, ::stride]) for image in ray_grid(intrinsics))
+    ray_x.flags.writeable = False
+    ray_y.flags.writeable = False
+    return ray_x, ray_y
 
 
 def on_surface(z_m: Float32[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
@@ -97,17 +112,21 @@ def on_surface(z_m: Float32[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "ro
     jump_m = np.maximum(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * z_m)
     has_level_neighbour = np.zeros(z_m.shape, np.bool_)
     on_ramp = np.zeros(z_m.shape, np.bool_)
+    low_m = -jump_m
     # Comparisons with NaN are false: a hole is neither a level neighbour nor a jump.
-    for z, jump, level, ramp in (
-        (z_m, jump_m, has_level_neighbour, on_ramp),
-        (z_m.T, jump_m.T, has_level_neighbour.T, on_ramp.T),
+    for before, after in (
+        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
+        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
     ):
-        step = z[1:] - z[:-1]
-        is_level = np.abs(step) <= jump[1:]
-        level[1:] |= is_level
-        level[:-1] |= is_level
-        rises, falls = step > jump[1:], step < -jump[1:]
-        ramp[1:-1] |= (rises[1:] & rises[:-1]) | (falls[1:] & falls[:-1])
+        step_m = z_m[after] - z_m[before]
+        rises, falls = step_m > jump_m[after], step_m < low_m[after]
+        level = ~(rises | falls)
+        level &= step_m == step_m
+        has_level_neighbour[after] |= level
+        has_level_neighbour[before] |= level
+        # The step into a pixel and the step out of it: the inner pixels of both arrays of steps.
+        on_ramp[after][before] |= rises[before] & rises[after]
+        on_ramp[after][before] |= falls[before] & falls[after]
     return has_level_neighbour & ~on_ramp
 
 

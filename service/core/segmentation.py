@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64
 
@@ -17,19 +16,14 @@ from service.core.camera import Intrinsics, pixel_to_point, ray_grid
 from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, on_surface, view_depth, window_around
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
 from service.core.footprints import Footprints, find_footprints
-from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
+from service.core.support_plane import SupportPlane
+from service.core.surroundings import Support, fit_support, sample_view, support_around_mask
 
 MIN_OBJECT_POINTS = 30
 """Fewer points say nothing about a shape."""
 
 COARSE_WIDTH = 320
 """Columns of the coarse pass; at 640 pixels every other row and column is read."""
-
-PLANE_SAMPLES = 3000
-"""Pixels that the support plane is fitted to."""
-
-LOCALITY = 0.4
-"""Distance from the object, in units of its depth, at which a point of the surroundings counts a quarter."""
 
 BORDER_PX = 2
 """An object with a pixel this near to the image border is taken as cut by it."""
@@ -69,20 +63,6 @@ class Segment:
     support: SupportPlane | None
     up: Vector3 | None
     flags: frozenset[str]
-
-
-@dataclass(frozen=True)
-class _Support:
-    """The plane as fitted, which tells object from table, and as answered, which has the given `up` as its normal."""
-
-    fitted: SupportPlane
-    answered: SupportPlane
-
-    def clearance(self, view: DepthView) -> Float32[np.ndarray, "rows columns"]:
-        """Heights above the plane in units of its tolerance; NaN where there is no reading."""
-        clearance = view.heights_m(self.fitted.normal, self.fitted.offset_m)
-        clearance /= plane_tolerance_m(view.z_m)
-        return clearance
 
 
 def segment(
@@ -135,7 +115,7 @@ def _segment_masked(
     _require_points(shown, "The mask covers too few readings of the depth image.", "mask")
     points = view.points(shown)
     few = points[:: max(1, len(points) // 300)]
-    support = _support_around(depth_m, intrinsics, masked, few, up)
+    support = support_around_mask(depth_m, intrinsics, masked, few, up)
     if support is not None:
         clearance = support.clearance(view)
         _require_points(shown & (clearance > 1.0), "Too little of the mask rises above the support plane.", "mask")
@@ -150,7 +130,7 @@ def _segment_masked(
 def _segment_cluster(
     depth_m: DepthImage, intrinsics: Intrinsics, window: Window, up: Vector3 | None, contact_m: Vector3 | None
 ) -> Segment:
-    scene = _sample(depth_m, intrinsics, WHOLE_IMAGE)
+    scene = sample_view(depth_m, intrinsics, WHOLE_IMAGE)
     readable = np.isfinite(scene.z_m)
     _require_points(readable, "The depth image has too few readings.", "depth")
     points = scene.points(readable)
@@ -159,7 +139,7 @@ def _segment_cluster(
     if place_m is None:
         nearest = np.argmin(_distance_to_middle(scene, readable, window, intrinsics))
         place_m = points[nearest].astype(np.float64)
-    support = _fit_support(points, place_m, known_object, up)
+    support = fit_support(points, place_m, known_object, up)
     found = None if support is None else _find_object(depth_m, intrinsics, window, support, None, place_m, contact_m)
     if support is not None and found is None:
         # Nothing above the plane but much below it: that plane is a face of the object.
@@ -193,7 +173,7 @@ def _find_object(
     depth_m: DepthImage,
     intrinsics: Intrinsics,
     window: Window,
-    support: _Support | None,
+    support: Support | None,
     up: Vector3 | None,
     place_m: Vector3,
     contact_m: Vector3 | None,
@@ -242,45 +222,6 @@ def _nearest_footprint(labels: Int32[np.ndarray, " n"], distance: Float32[np.nda
     return int(labels[np.argmin(np.where(eligible, distance, np.inf))]) if eligible.any() else 0
 
 
-def _support_around(
-    depth_m: DepthImage,
-    intrinsics: Intrinsics,
-    mask: Mask,
-    object_points: Float32[np.ndarray, "known 3"],
-    up: Vector3 | None,
-) -> _Support | None:
-    """The plane in the surroundings of a mask; failing that, anywhere in the image."""
-    # Masks are a little too tight as often as too wide: what lies right beside one is neither object nor table.
-    near = window_around(mask, margin=0.75, margin_px=40)
-    taken = np.zeros_like(mask)
-    taken[near] = cv2.dilate(mask[near].view(np.uint8), np.ones((7, 7), np.uint8)).view(np.bool_)
-    place_m = np.median(object_points, axis=0).astype(np.float64)
-    for window in (near, WHOLE_IMAGE):
-        view = _sample(depth_m, intrinsics, window)
-        points = view.points(np.isfinite(view.z_m) & ~view.crop(taken))
-        support = _fit_support(points, place_m, object_points, up)
-        if support is not None:
-            return support
-    return None
-
-
-def _sample(depth_m: DepthImage, intrinsics: Intrinsics, window: Window) -> DepthView:
-    rows, columns = (len(range(*side.indices(size))) for side, size in zip(window, depth_m.shape, strict=True))
-    return view_depth(depth_m, intrinsics, window, max(1, round((rows * columns / PLANE_SAMPLES) ** 0.5)))
-
-
-def _fit_support(
-    points: Points, place_m: Vector3, known_object: Float32[np.ndarray, "known 3"], up: Vector3 | None
-) -> _Support | None:
-    distance = np.linalg.norm(points - place_m.astype(np.float32), axis=1)
-    reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
-    weights = 1.0 / np.square(1.0 + np.square(distance / reach_m))
-    fitted = find_support_plane(points, weights, known_object, up)
-    if fitted is None:
-        return None
-    return _Support(fitted, fitted if up is None else level_plane(fitted, up, points, weights))
-
-
 def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:
     """Which points of a mask are not far from its largest part, as background beyond the object's edge is."""
     footprints = find_footprints(points, up, points[len(points) // 2].astype(np.float64))
@@ -301,7 +242,7 @@ def _finish(
     row: Int64[np.ndarray, " n"],
     column: Int64[np.ndarray, " n"],
     intrinsics: Intrinsics,
-    support: _Support | None,
+    support: Support | None,
     up: Vector3 | None,
 ) -> Segment:
     pixels = np.zeros((intrinsics.height, intrinsics.width), np.bool_)

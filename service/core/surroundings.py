@@ -1,0 +1,82 @@
+"""The support plane around an object in a depth image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from jaxtyping import Float32
+
+from service.core.arrays import DepthImage, Mask, Points, Vector3
+from service.core.camera import Intrinsics
+from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, view_depth, window_around
+from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
+
+PLANE_SAMPLES = 3000
+"""Pixels that the support plane is fitted to."""
+
+LOCALITY = 0.4
+"""Distance from the object, in units of its depth, at which a point of the surroundings counts a quarter."""
+
+
+@dataclass(frozen=True)
+class Support:
+    """The plane as fitted, which tells object from table, and as answered, which has the given `up` as its normal."""
+
+    fitted: SupportPlane
+    answered: SupportPlane
+
+    def clearance(self, view: DepthView) -> Float32[np.ndarray, "rows columns"]:
+        """Heights above the plane in units of its tolerance; NaN where there is no reading."""
+        clearance = view.heights_m(self.fitted.normal, self.fitted.offset_m)
+        clearance /= plane_tolerance_m(view.z_m)
+        return clearance
+
+
+def sample_view(depth_m: DepthImage, intrinsics: Intrinsics, window: Window) -> DepthView:
+    """Thin a window out to about `PLANE_SAMPLES` pixels."""
+    rows, columns = (len(range(*side.indices(size))) for side, size in zip(window, depth_m.shape, strict=True))
+    return view_depth(depth_m, intrinsics, window, max(1, round((rows * columns / PLANE_SAMPLES) ** 0.5)))
+
+
+def fit_support(
+    points: Points, place_m: Vector3, known_object: Float32[np.ndarray, "known 3"], up: Vector3 | None
+) -> Support | None:
+    """Fit the support to points around a place, those nearer to it counting more; None where no plane is seen.
+
+    Args:
+        points: Points of the scene, camera frame, metres.
+        place_m: Where the object is about.
+        known_object: Points of the object, which must lie above the plane; may be empty.
+        up: Unit vector against gravity, or None.
+    """
+    distance = np.linalg.norm(points - place_m.astype(np.float32), axis=1)
+    reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
+    weights = 1.0 / np.square(1.0 + np.square(distance / reach_m))
+    fitted = find_support_plane(points, weights, known_object, up)
+    if fitted is None:
+        return None
+    return Support(fitted, fitted if up is None else level_plane(fitted, up, points, weights))
+
+
+def support_around_mask(
+    depth_m: DepthImage,
+    intrinsics: Intrinsics,
+    mask: Mask,
+    object_points: Float32[np.ndarray, "known 3"],
+    up: Vector3 | None,
+) -> Support | None:
+    """The plane in the surroundings of a mask; failing that, anywhere in the image."""
+    # Masks are a little too tight as often as too wide: what lies right beside one is neither object nor table.
+    near = window_around(mask, margin=0.75, margin_px=40)
+    taken = np.zeros_like(mask)
+    taken[near] = cv2.dilate(mask[near].view(np.uint8), np.ones((7, 7), np.uint8)).view(np.bool_)
+    place_m = np.median(object_points, axis=0).astype(np.float64)
+    for window in (near, WHOLE_IMAGE):
+        view = sample_view(depth_m, intrinsics, window)
+        points = view.points(np.isfinite(view.z_m) & ~view.crop(taken))
+        support = fit_support(points, place_m, object_points, up)
+        if support is not None:
+            return support
+    return None
