@@ -25,6 +25,9 @@ MIN_OBJECT_POINTS = 30
 COARSE_WIDTH = 320
 """Columns of the coarse pass; at 640 pixels every other row and column is read."""
 
+CONTACT_REACH = 0.3
+"""A contact farther than this from every reading, in units of their depth, is a mistake that chooses no object."""
+
 BORDER_PX = 2
 """An object with a pixel this near to the image border is taken as cut by it."""
 
@@ -85,7 +88,8 @@ def segment(
         mask: Pixels of the object; None to find them.
         up: Unit vector against gravity in the camera frame; None to take it from the support plane. Only planes
             within 15° of it count. Where plane and `up` agree to 1° the given one becomes the support's normal.
-        contact_m: Where the object is touched, camera frame.
+        contact_m: Where the object is touched, camera frame. One that is far from everything seen is left out of
+            account, so that the object is found and the caller can say how far off it the contact is.
         contact_px: The same as a pixel (u, v), read from the depth image.
         roi: (u, v, width, height) that the object is searched in.
 
@@ -134,12 +138,14 @@ def _segment_cluster(
     readable = np.isfinite(scene.z_m)
     _require_points(readable, "The depth image has too few readings.", "depth")
     points = scene.points(readable)
-    place_m = contact_m
-    known_object = points[:0] if contact_m is None else contact_m[None].astype(np.float32)
-    if place_m is None:
-        nearest = np.argmin(_distance_to_middle(scene, readable, window, intrinsics))
-        place_m = points[nearest].astype(np.float64)
-    support = fit_support(points, place_m, known_object, up)
+    place_m = points[np.argmin(_distance_to_middle(scene, readable, window, intrinsics))].astype(np.float64)
+    if contact_m is not None:
+        reach_m = CONTACT_REACH * max(float(place_m[2]), 0.1)
+        if np.linalg.norm(points - contact_m.astype(np.float32), axis=1).min() > reach_m:
+            contact_m = None
+        else:
+            place_m = contact_m
+    support = fit_support(points, place_m, points[:0], up)
     found = None if support is None else _find_object(depth_m, intrinsics, window, support, None, place_m, contact_m)
     if support is not None and found is None:
         # Nothing above the plane but much below it: that plane is a face of the object.

@@ -82,6 +82,13 @@ def test_contact_or_region_chooses_the_object(kind: str) -> None:
     assert iou(found.pixels, TABLE_AND_TWO.shown == 1) > 0.9
 
 
+@pytest.mark.parametrize("contact_table", [(0.0, 0.0, -0.15), (0.0, 0.0, -3.0), (4.0, 0.0, 0.1), (0.0, -0.3, 0.2)])
+def test_contact_off_everything_does_not_hide_the_object(contact_table: tuple[float, float, float]) -> None:
+    """The caller refuses such a contact by its distance from the body, so there must be a body."""
+    found = segment(TABLE_AND_TWO.depth_m, CAMERA, contact_m=contact_on(TABLE_AND_TWO, contact_table))
+    assert iou(found.pixels, TABLE_AND_TWO.shown == 0) > 0.93
+
+
 def test_mask_keeps_the_object_and_drops_what_bleeds_onto_the_table() -> None:
     mask = np.zeros((480, 640), bool)
     v, u = np.nonzero(TABLE_AND_TWO.shown == 0)
