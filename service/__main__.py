@@ -160,7 +160,7 @@ def _models(given: argparse.Namespace) -> int:
     settings = _settings(given)
     manifests = load_models(settings.models, settings.threads).manifests
     if given.json:
-        print(json.dumps({"models": [manifest.model_dump(mode="json") for manifest in manifests]}))
+        print(json.dumps({"models": [manifest.to_json() for manifest in manifests]}))
         return OK
     for manifest in manifests:
         print(f"{manifest.kind:15s} {manifest.name} {manifest.version}  ({settings.models / manifest.name})")

@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import uvicorn
-from pydantic import BaseModel
 
 from service.api.handler import Handler
 from service.api.rest import create_http
+from service.core.errors import PhysNetError
+from service.core.manifest import Manifest
 from service.scheduler import Predictor, Scheduler
 from service.settings import Settings
 
@@ -30,7 +31,7 @@ class Served:
     """What answers requests, warmed up, and the manifests of its models."""
 
     predictor: Predictor
-    manifests: Sequence[BaseModel]
+    manifests: Sequence[Manifest]
 
 
 def build_pipeline(settings: Settings) -> Served:
@@ -104,7 +105,8 @@ async def serve(
             await asyncio.wait({stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         return 0
     except Exception as error:
-        log.error("the models could not be loaded: %s", error, exc_info=log.isEnabledFor(logging.DEBUG))
+        # What a ModelMismatch says is for the operator; anything else is a bug and needs its traceback.
+        log.error("the models could not be loaded: %s", error, exc_info=not isinstance(error, PhysNetError))
         return 1
     finally:
         log.info("stopping")
@@ -133,6 +135,8 @@ def run(settings: Settings) -> int:
     logging.basicConfig(
         stream=sys.stderr, level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s %(message)s"
     )
+    # Uvicorn calls all of its ordinary news errors by the name of its logger, and says nothing there we do not.
+    logging.getLogger("uvicorn").setLevel(max(logging.WARNING, logging.getLogger().level))
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(serve(settings, announce=_announce))
 

@@ -33,8 +33,9 @@ class LiveService:
 
 def start_service(log: Path, *arguments: str, timeout_s: float = 60.0) -> LiveService:
     """Start the service and wait for its ready line; fails with its log where none comes."""
-    # The settings of whoever runs the tests are not the ones under test.
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("PHYSNET_")}
+    # The settings of whoever runs the tests are not the ones under test, but for models that are not shipped yet.
+    kept = ("PHYSNET_MODELS",)
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("PHYSNET_") or key in kept}
     command = [sys.executable, "-m", "service", "serve", "--http-port", "0", "--grpc-port", "0", *arguments]
     with log.open("w") as errors:
         process = subprocess.Popen(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from pydantic import BaseModel
-
 from service.api.metrics import Metrics
 from service.core.errors import Overloaded
+from service.core.manifest import Manifest
 from service.core.messages import DeformRequest
 from service.scheduler import Answer, Scheduler
 
@@ -18,7 +17,7 @@ class Handler:
     def __init__(self) -> None:
         self.metrics = Metrics(lambda: self._scheduler.queue_depth if self._scheduler else 0)
         self._scheduler: Scheduler | None = None
-        self._manifests: tuple[BaseModel, ...] = ()
+        self._manifests: tuple[Manifest, ...] = ()
 
     @property
     def ready(self) -> bool:
@@ -26,15 +25,15 @@ class Handler:
         return self._scheduler is not None
 
     @property
-    def manifests(self) -> tuple[BaseModel, ...]:
+    def manifests(self) -> tuple[Manifest, ...]:
         """Manifests of the models served; none before they are loaded."""
         return self._manifests
 
-    def open(self, scheduler: Scheduler, manifests: Sequence[BaseModel]) -> None:
+    def open(self, scheduler: Scheduler, manifests: Sequence[Manifest]) -> None:
         """From here on requests are answered."""
         self._scheduler = scheduler
         self._manifests = tuple(manifests)
-        self.metrics.ready({str(getattr(m, "name", "")): str(getattr(m, "version", "")) for m in manifests})
+        self.metrics.ready({m.name: m.version for m in manifests})
 
     async def deform(self, request: DeformRequest, deadline: float) -> Answer:
         """Answer one request; see `Scheduler.submit`.

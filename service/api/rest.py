@@ -208,7 +208,7 @@ def _add_tables(app: FastAPI, handler: Handler) -> None:
     async def models() -> JSONResponse:
         if not handler.ready:
             raise Overloaded("The models are still being loaded; try again in a second.", retry_after_s=1.0)
-        return JSONResponse({"models": [manifest.model_dump(mode="json") for manifest in handler.manifests]})
+        return JSONResponse({"models": [manifest.to_json() for manifest in handler.manifests]})
 
 
 def _add_operations(app: FastAPI, handler: Handler) -> None:

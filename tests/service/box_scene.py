@@ -27,7 +27,7 @@ class BoxScene:
     yaw_rad: float = 0.0
     aim_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     table_half_m: float = 5.0
-    _cache: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    _cache: dict[str, Any] = field(default_factory=dict, init=False, compare=False, repr=False)
 
     @property
     def camera(self) -> dict[str, Any]:

@@ -9,18 +9,20 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
-from pydantic import BaseModel
 
 from service.app import Served, serve
 from service.core.grids import Grid
+from service.core.manifest import Manifest
 from service.core.messages import DeformRequest, DeformResult, LoadResult, Observation
 from service.settings import Settings
 
 
-class FakeManifest(BaseModel):
-    name: str = "fake"
-    version: str = "9.9.9"
-    kind: str = "deformation"
+def fake_manifest() -> Manifest:
+    return Manifest(
+        name="fake", version="9.9.9", kind="deformation", graph="model.onnx", files={"model.onnx": "0"}, inputs=(),
+        outputs=(), grid_contract="1", condition_contract="1", threshold=0.5, condition_range={}, configuration={},
+        run="none", dataset={}, commit="none", parity=0.0, evaluation={},
+    )  # fmt: skip
 
 
 _CENTRES = (np.indices((64, 64, 64), dtype=np.float32) + 0.5) / 64
@@ -98,7 +100,7 @@ def running(
 
     def make(_: Settings) -> Served:
         build()
-        return Served(predictor, [FakeManifest()])
+        return Served(predictor, [fake_manifest()])
 
     async def main() -> int:
         stop = asyncio.Event()

@@ -117,8 +117,8 @@ def test_a_request_in_flight_is_answered_before_the_end():
 def test_a_signal_ends_it_with_0_and_only_the_ready_line_on_stdout(number):
     program = (
         "import service.app as app\n"
-        "from tests.service.fakes import FakeManifest, FakePredictor\n"
-        "served = app.Served(FakePredictor(), [FakeManifest()])\n"
+        "from tests.service.fakes import fake_manifest, FakePredictor\n"
+        "served = app.Served(FakePredictor(), [fake_manifest()])\n"
         "app.serve.__defaults__ = (lambda settings: served, *app.serve.__defaults__[1:])\n"
         "from service.__main__ import main\n"
         "raise SystemExit(main(['serve', '--http-port', '0']))\n"

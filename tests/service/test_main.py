@@ -12,7 +12,7 @@ from service.__main__ import FAILED, OK, REFUSED, USAGE, main
 from service.app import Served
 from service.core.errors import NoSupportPlane
 from tests.service.box_scene import BoxScene, npy
-from tests.service.fakes import FakeManifest, FakePredictor
+from tests.service.fakes import FakePredictor, fake_manifest
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 
@@ -20,7 +20,7 @@ SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 @pytest.fixture
 def predictor(monkeypatch) -> FakePredictor:
     predictor = FakePredictor()
-    monkeypatch.setattr(app, "build_pipeline", lambda settings: Served(predictor, [FakeManifest()]))
+    monkeypatch.setattr(app, "build_pipeline", lambda settings: Served(predictor, [fake_manifest()]))
     return predictor
 
 
