@@ -134,9 +134,9 @@ class Pipeline:
             depth_m = decode_depth(
                 source.depth.encoding, source.depth.data, source.depth.unit_m, camera.width, camera.height, self._limits
             )
-            mask = source.mask and decode_mask(
-                source.mask.encoding, source.mask.data, camera.width, camera.height, self._limits
-            )
+            mask = None
+            if source.mask is not None:
+                mask = decode_mask(source.mask.encoding, source.mask.data, camera.width, camera.height, self._limits)
         with watch.stage("segment"):
             contacts = [_contact(load, depth_m, camera, f"loads[{i}].contact_px") for i, load in enumerate(loads)]
             found = segment(

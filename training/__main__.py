@@ -42,7 +42,6 @@ def main(arguments: list[str] | None = None) -> int:
     evaluate.set_defaults(run=_evaluate)
 
     export = commands.add_parser("export", help="evaluate a run and write it as an ONNX graph with manifest and card")
-    export.add_argument("network", choices=["reconstruction", "deformation"])
     export.add_argument("--run", dest="run_folder", type=Path, required=True)
     export.add_argument("--data", type=Path, required=True)
     export.add_argument("--models", type=Path, default=Path("models"), help="folder that holds all models")
@@ -121,13 +120,11 @@ def _export(options: argparse.Namespace) -> int:
 
     checkpoint = options.run_folder / "checkpoint.pt"
     threshold, figures = evaluate(checkpoint, options.data, "test")
-    ranges = {}
-    if options.network == "deformation":
+    ranges: dict[str, tuple[float, float]] = {}
+    if "samples_moved" in figures:
         ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
     try:
-        manifest = export_model(
-            checkpoint, options.network, options.models, options.name, options.version, threshold, ranges, figures
-        )
+        manifest = export_model(checkpoint, options.models, options.name, options.version, threshold, ranges, figures)
     except ExportError as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1

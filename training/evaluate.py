@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float32
 from training.data.batches import DeformationSet, ViewSet
 from training.losses import relative_displacement
 from training.metrics import changed_voxel_iou, iou, skill
-from training.networks.deformation import DeformationConfig, DeformationNetwork, warp
-from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.networks.checkpoint import load_network
+from training.networks.deformation import DeformationNetwork, warp
+from training.networks.reconstruction import ReconstructionNetwork
 
 THRESHOLDS = (0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8)
 """Candidates for the occupancy threshold, tuned on validation; the paper's 0.8 is among them and always printed."""
@@ -23,19 +24,6 @@ MOVED = 0.95
 
 HALF_VOXEL = 0.5 / 64.0
 BATCH = 16
-
-
-def load_network(checkpoint: Path) -> tuple[DeformationNetwork | ReconstructionNetwork, dict[str, Any]]:
-    """The network of a checkpoint, ready to answer, and the checkpoint's own account of itself."""
-    state: dict[str, Any] = torch.load(checkpoint, weights_only=True)
-    options = {key: tuple(v) if isinstance(v, list) else v for key, v in state["config"]["network"].items()}
-    network: DeformationNetwork | ReconstructionNetwork
-    if "latent" in options:
-        network = DeformationNetwork(DeformationConfig(**options))
-    else:
-        network = ReconstructionNetwork(ReconstructionConfig(**options))
-    network.load_state_dict(state["network"])
-    return network.eval(), state
 
 
 @torch.no_grad()

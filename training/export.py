@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ from torch import Tensor, nn
 
 from service.core.condition import CONDITION_FIELDS
 from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
-from service.inference.manifest import Manifest, TensorSpec
+from service.core.manifest import Manifest, TensorSpec
 from training.data.store import code_version
-from training.networks.deformation import DeformationConfig, DeformationNetwork, warp
-from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.networks.checkpoint import load_network
+from training.networks.deformation import DeformationNetwork, warp
+from training.networks.reconstruction import ReconstructionNetwork
 
 OPSET = 20
 PARITY_TOLERANCE = 1e-4
@@ -74,7 +75,7 @@ def deformation_tensors(latent: int) -> Tensors:
 
 
 def export_model(
-    checkpoint: Path, kind: str, directory: Path, name: str, version: str, threshold: float,
+    checkpoint: Path, directory: Path, name: str, version: str, threshold: float,
     condition_range: dict[str, tuple[float, float]], evaluation: dict[str, Any],
 ) -> Manifest:  # fmt: skip
     """Write `directory/name/version/{model.onnx, manifest.json, CARD.md}`.
@@ -82,8 +83,8 @@ def export_model(
     Raises:
         ExportError: ONNX Runtime's answers differ from torch's by more than 1e-4 on random inputs.
     """
-    state = torch.load(checkpoint, weights_only=True)
-    graph, tensors = _graph(kind, state)
+    network, state = load_network(checkpoint)
+    kind, graph, tensors = _graph(network)
     folder = directory / name / version
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
@@ -98,8 +99,8 @@ def export_model(
     manifest = Manifest(
         name=name, version=version, kind=kind, graph="model.onnx",
         files={"model.onnx": hashlib.sha256((folder / "model.onnx").read_bytes()).hexdigest()},
-        inputs=tuple(TensorSpec(name=n, dtype="float32", shape=s) for n, s in tensors.inputs.items()),
-        outputs=tuple(TensorSpec(name=n, dtype="float32", shape=s) for n, s in tensors.outputs.items()),
+        inputs=tuple(TensorSpec(n, s) for n, s in tensors.inputs.items()),
+        outputs=tuple(TensorSpec(n, s) for n, s in tensors.outputs.items()),
         grid_contract=GRID_CONTRACT,
         condition_contract=CONDITION_CONTRACT if kind == "deformation" else None,
         threshold=threshold, condition_range=condition_range, configuration=state["config"],
@@ -108,10 +109,9 @@ def export_model(
     )  # fmt: skip
     card = folder / "CARD.md"
     card.write_text(model_card(manifest))
-    manifest = manifest.model_copy(
-        update={"files": {**manifest.files, "CARD.md": hashlib.sha256(card.read_bytes()).hexdigest()}}
-    )
-    (folder / "manifest.json").write_text(json.dumps(manifest.model_dump(mode="json"), indent=1) + "\n")
+    card_digest = hashlib.sha256(card.read_bytes()).hexdigest()
+    manifest = replace(manifest, files={**manifest.files, "CARD.md": card_digest})
+    (folder / "manifest.json").write_text(json.dumps(manifest.to_json(), indent=1) + "\n")
     return manifest
 
 
@@ -131,17 +131,13 @@ def condition_range_of(conditions: Float[np.ndarray, "n 9"]) -> dict[str, tuple[
     return ranges
 
 
-def _graph(kind: str, state: dict[str, Any]) -> tuple[nn.Module, Tensors]:
-    options = {key: tuple(v) if isinstance(v, list) else v for key, v in state["config"]["network"].items()}
-    if kind == "reconstruction":
-        reconstruction = ReconstructionNetwork(ReconstructionConfig(**options))
-        reconstruction.load_state_dict(state["network"])
-        return ReconstructionGraph(reconstruction).eval(), RECONSTRUCTION_TENSORS
-    if kind == "deformation":
-        deformation = DeformationNetwork(DeformationConfig(**options))
-        deformation.load_state_dict(state["network"])
-        return DeformationGraph(deformation).eval(), deformation_tensors(deformation.config.latent)
-    raise ExportError(f"there is no {kind} network; choose reconstruction or deformation")
+def _graph(network: nn.Module) -> tuple[str, nn.Module, Tensors]:
+    """Kind of a network, what is served of it, and its tensors."""
+    if isinstance(network, ReconstructionNetwork):
+        return "reconstruction", ReconstructionGraph(network).eval(), RECONSTRUCTION_TENSORS
+    if isinstance(network, DeformationNetwork):
+        return "deformation", DeformationGraph(network).eval(), deformation_tensors(network.config.latent)
+    raise ExportError(f"there is no served graph for a {type(network).__name__}")
 
 
 def _example(tensors: Tensors, seed: int, loads: int) -> dict[str, np.ndarray]:

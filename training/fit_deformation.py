@@ -73,7 +73,7 @@ def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
         loss = sum(losses.values(), start=torch.zeros(()))
         run.check_finite(loss, step)
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         schedule.step()

@@ -58,7 +58,7 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig) ->
         loss = modified_bce_with_logits(network(batch.view), batch.truth, config.alpha)
         run.check_finite(loss, step)
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        torch.autograd.backward(loss)
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimizer.step()
         schedule.step()

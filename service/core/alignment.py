@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import Float32
 
@@ -14,6 +16,9 @@ HORIZONTAL_FILL = 0.70
 
 VERTICAL_FILL = 0.74
 """The same for its height; the body stands on the floor of the grid, so all the room is above it."""
+
+
+Lookup: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]
 
 
 def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_floor: bool = True) -> Grid:
@@ -83,17 +88,19 @@ def resample(probability: Probability, source: Grid, target: Grid) -> Probabilit
     base = (low[0] * size + low[1]) * size + low[2]
     flat = padded.ravel()
 
-    def along_z(offset: int) -> Float32[np.ndarray, "x y z"]:
-        near = flat[base + offset]
-        return near + fraction[2] * (flat[base + (offset + 1)] - near)
+    def lerp(near: Lookup, far: Lookup, axis: int) -> Lookup:
+        between: Lookup = near + fraction[axis] * (far - near)
+        return between
 
-    def along_y(offset: int) -> Float32[np.ndarray, "x y z"]:
-        near = along_z(offset)
-        return near + fraction[1] * (along_z(offset + size) - near)
+    def along_z(offset: int) -> Lookup:
+        near: Lookup = flat[base + offset]
+        far: Lookup = flat[base + (offset + 1)]
+        return lerp(near, far, 2)
 
-    near = along_y(0)
-    result: Probability = near + fraction[0] * (along_y(size * size) - near)
-    return result
+    def along_y(offset: int) -> Lookup:
+        return lerp(along_z(offset), along_z(offset + size), 1)
+
+    return lerp(along_y(0), along_y(size * size), 0)
 
 
 def _occupied_centres(occupancy: Occupancy, grid: Grid) -> Float32[np.ndarray, "n 3"]:

@@ -43,7 +43,8 @@ def snap_contact(contact_m: Vector3, occupancy: Occupancy, grid: Grid, field: st
         )  # fmt: skip
     if distance_m <= SNAP_VOXELS * grid.pitch_m:
         return contact_m, False
-    return grid.camera_from_grid[:3, :3] @ centres[nearest] + grid.camera_from_grid[:3, 3], True
+    snapped_m: Vector3 = grid.camera_from_grid[:3, :3] @ centres[nearest] + grid.camera_from_grid[:3, 3]
+    return snapped_m, True
 
 
 def surface_voxels(occupancy: Occupancy) -> Occupancy:
@@ -55,4 +56,5 @@ def surface_voxels(occupancy: Occupancy) -> Occupancy:
             window = [slice(1, -1)] * 3
             window[axis] = slice(start, start + occupancy.shape[axis])
             inner &= padded[tuple(window)]
-    return occupancy & ~inner
+    surface: Occupancy = occupancy & ~inner
+    return surface

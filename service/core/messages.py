@@ -13,7 +13,6 @@ from service.core.camera import Intrinsics
 from service.core.grids import Grid
 from service.core.materials import Material
 
-
 Displacement: TypeAlias = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
 """A vector at each voxel, in grid axes."""
 

@@ -118,7 +118,8 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
         # One axis after the other makes the 3³ neighbourhood of three short ones.
         first, middle, last = (_slice_along(near, axis, start) for start in range(3))
         near = first | middle | last
-    return occupancy | (observed & ~near)
+    covered: Occupancy = occupancy | (observed & ~near)
+    return covered
 
 
 def voxelize(

@@ -11,7 +11,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.inference.manifest import Manifest
+from service.core.manifest import Manifest
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,9 @@ class DeformationModel:
             return Deformation(*self._run(body, stacked, noise))
         draws = np.random.default_rng(0).standard_normal((samples, self._latent)).astype(np.float32)
         answers = [self._run(body, stacked, np.broadcast_to(draw, (len(stacked), self._latent))) for draw in draws]
-        probability, displacement = (np.mean(parts, axis=0, dtype=np.float32) for parts in zip(*answers, strict=True))
+        probability, displacement = (
+            np.asarray(np.mean(parts, axis=0), np.float32) for parts in zip(*answers, strict=True)
+        )
         return Deformation(probability, displacement)
 
     def outside_training_range(self, condition: Condition) -> bool:

@@ -6,8 +6,8 @@ import numpy as np
 import onnxruntime
 
 from service.core.arrays import Probability
+from service.core.manifest import Manifest
 from service.core.voxels import VoxelView
-from service.inference.manifest import Manifest
 
 
 class ReconstructionModel:

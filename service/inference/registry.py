@@ -10,9 +10,10 @@ import numpy as np
 from service.core.arrays import GRID_SIZE
 from service.core.errors import ModelMismatch
 from service.core.grids import Grid
+from service.core.manifest import Manifest
 from service.core.voxels import VoxelView
+from service.inference.artefacts import read_manifest
 from service.inference.deformation import DeformationModel
-from service.inference.manifest import Manifest, read_manifest
 from service.inference.reconstruction import ReconstructionModel
 from service.inference.session import open_session
 

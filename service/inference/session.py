@@ -7,7 +7,7 @@ from pathlib import Path
 import onnxruntime
 
 from service.core.errors import ModelMismatch
-from service.inference.manifest import Manifest, TensorSpec
+from service.core.manifest import Manifest, TensorSpec
 
 
 def open_session(directory: Path, manifest: Manifest, threads: int) -> onnxruntime.InferenceSession:
@@ -31,7 +31,7 @@ def open_session(directory: Path, manifest: Manifest, threads: int) -> onnxrunti
         ("inputs", manifest.inputs, session.get_inputs()),
         ("outputs", manifest.outputs, session.get_outputs()),
     ):
-        found = tuple(TensorSpec(name=t.name, dtype="float32", shape=tuple(t.shape)) for t in tensors)
+        found = tuple(TensorSpec(t.name, tuple(t.shape)) for t in tensors)
         if found != specs:
             raise ModelMismatch(
                 f"{directory / manifest.graph}: the graph's {what} are not those of its manifest.",

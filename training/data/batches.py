@@ -51,7 +51,10 @@ class DeformationSet:
     def load(cls, root: Path, split: str) -> DeformationSet:
         """Read one split of a finished or growing store."""
         columns: dict[str, list[Any]] = {}
-        rest, family, body, law = [], [], [], []
+        rest: list[UInt8[np.ndarray, " bytes"]] = []
+        body: list[Int[np.ndarray, " n"]] = []
+        family: list[str] = []
+        law: list[str] = []
         for index, group in Store(root).groups():
             if split_of(index) != split:
                 continue
