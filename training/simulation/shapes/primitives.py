@@ -19,6 +19,8 @@ Polygon: TypeAlias = tuple[tuple[float, float], ...]
 
 ZERO = np.float32(0)
 TINY = np.float32(1e-12)
+POLYGON_BLOCK = 1024
+"""Points whose distances to all edges are found together: large enough to hide the calls, small enough for the cache."""
 
 
 @dataclass(frozen=True)
@@ -228,24 +230,31 @@ def polygon_distance(
     polygon: Polygon, u: Float32[np.ndarray, " n"], v: Float32[np.ndarray, " n"], skip_axis: bool = False
 ) -> Float32[np.ndarray, " n"]:
     """Signed distance in the plane to a simple polygon; `skip_axis` leaves out edges along u = 0."""
-    squared = np.full(u.shape, np.inf, np.float32)
-    inside = np.zeros(u.shape, bool)
-    for (u0, v0), (u1, v1) in zip(polygon, (*polygon[1:], polygon[0]), strict=True):
-        if u0 == u1 and v0 == v1:
-            continue
-        du, dv = np.float32(u1 - u0), np.float32(v1 - v0)
-        pu, pv = u - np.float32(u0), v - np.float32(v0)
-        if v0 != v1:  # crossing of the ray towards +u
-            spans = (v >= np.float32(v0)) != (v >= np.float32(v1))
-            left = pu * dv < pv * du if v1 > v0 else pu * dv > pv * du
-            inside ^= spans & left
-        if skip_axis and u0 == 0 and u1 == 0:
-            continue
-        along = np.clip((pu * du + pv * dv) * (np.float32(1) / (du * du + dv * dv)), 0, 1)
-        pu, pv = pu - along * du, pv - along * dv
-        np.minimum(squared, pu * pu + pv * pv, out=squared)
-    distance = np.sqrt(squared)
-    return np.where(inside, -distance, distance)
+    corners = np.array(polygon, np.float32)
+    ends = np.roll(corners, -1, axis=0)
+    real = (corners != ends).any(axis=1)
+    corners, ends = corners[real, :, None], ends[real, :, None]
+    (u0, v0), (du, dv) = corners.swapaxes(0, 1), (ends - corners).swapaxes(0, 1)
+    on_axis = ((u0 == 0) & (du == 0))[:, 0] if skip_axis else np.zeros(len(du), bool)
+    inverse_square = np.float32(1) / (du * du + dv * dv)
+    result = np.empty(u.shape, np.float32)
+    for start in range(0, len(u), POLYGON_BLOCK):  # all edges of a block of points at once
+        part = slice(start, start + POLYGON_BLOCK)
+        pu, pv = u[part] - u0, v[part] - v0
+        # Crossings of the ray towards +u, by the side of the edge that the point is on.
+        spans = (pv >= 0) != (pv >= dv)
+        left = (pu * dv < pv * du) ^ (dv < 0)
+        inside = np.bitwise_xor.reduce(spans & left, axis=0)
+        along = (pu * du + pv * dv) * inverse_square
+        np.clip(along, ZERO, np.float32(1), out=along)
+        pu -= along * du
+        pv -= along * dv
+        pu *= pu
+        pv *= pv
+        pu += pv
+        distance = np.sqrt(pu[~on_axis].min(axis=0) if on_axis.any() else pu.min(axis=0))
+        result[part] = np.where(inside, -distance, distance)
+    return result
 
 
 def _extrude(flat: Distance, along: Coordinate, half_length: float) -> Distance:

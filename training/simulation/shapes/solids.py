@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from training.simulation.shapes.field import Field, Rounded, SmoothUnion, Stretched
+from training.simulation.shapes.field import Field, Rounded, SmoothUnion, Stretched, Union
 from training.simulation.shapes.primitives import (
     Box,
     CappedCone,
@@ -85,13 +85,13 @@ def prism(rng: Rng, thin: bool) -> Shape:
 
 
 def torus(rng: Rng, thin: bool) -> Shape:
-    minor = rng.uniform(0.1, 0.2) if thin else rng.uniform(0.22, 0.34)
-    return stand("torus", Torus(1.0 - minor, minor * 1.0), cut=rng.uniform(0.08, 0.2))
+    minor = rng.uniform(0.1, 0.2) if thin else rng.uniform(0.24, 0.35)
+    return stand("torus", Torus(1.0 - minor, minor), cut=rng.uniform(0.08, 0.2))
 
 
 def ring(rng: Rng, thin: bool) -> Shape:
     """A torus on its rim, with a flat foot."""
-    minor = rng.uniform(0.08, 0.2) if thin else rng.uniform(0.24, 0.36)
+    minor = rng.uniform(0.08, 0.2) if thin else rng.uniform(0.26, 0.38)
     return stand("ring", Torus(1.0 - minor, minor).turn("x", math.pi / 2), cut=rng.uniform(0.05, 0.1))
 
 
@@ -118,19 +118,19 @@ def blob(rng: Rng, thin: bool) -> Shape:
         radius = rng.uniform(0.2, 0.45)
         parts.append(Sphere(radius).shift(*(float(c) for c in centre)))
         step = rng.normal(size=3) * np.array([1.0, 1.0, 0.8])
-        centre = centre + step / np.linalg.norm(step) * rng.uniform(0.6, 1.1) * radius
-    return stand("blob", SmoothUnion(tuple(parts), rng.uniform(0.15, 0.4)), cut=rng.uniform(0.1, 0.25))
+        centre = centre + step / np.linalg.norm(step) * rng.uniform(0.9, 1.5) * radius
+    return stand("blob", SmoothUnion(tuple(parts), rng.uniform(0.1, 0.3)), cut=rng.uniform(0.1, 0.25))
 
 
 def csg(rng: Rng, thin: bool) -> Shape:
     """Two or three primitives joined, then one or two cut away."""
     body = _random_primitive(rng, 0.3, 0.6)
     for _ in range(int(rng.integers(1, 3))):
-        body = body | _random_primitive(rng, 0.25, 0.5).shift(*rng.uniform(-0.4, 0.4, 3))
+        body = body | _random_primitive(rng, 0.25, 0.5).shift(*rng.uniform(-0.45, 0.45, 3))
     for _ in range(int(rng.integers(1, 3))):
         direction = rng.normal(size=3)
-        direction *= rng.uniform(0.35, 0.7) / np.linalg.norm(direction)
-        body = body - _random_primitive(rng, 0.15, 0.35).shift(*direction)
+        direction *= rng.uniform(0.5, 0.7) / np.linalg.norm(direction)
+        body = body - _random_primitive(rng, 0.15, 0.3).shift(*direction)
     return stand("csg", body, cut=rng.uniform(0.05, 0.15))
 
 
@@ -158,14 +158,14 @@ def fruit(rng: Rng, thin: bool) -> Shape:
 def crescent(rng: Rng, thin: bool) -> Shape:
     """A banana: a chain of capsules along an arc, lying."""
     arc = rng.uniform(1.4, 2.8)
-    radius = rng.uniform(0.09, 0.15) if thin else rng.uniform(0.2, 0.3)
+    radius = rng.uniform(0.09, 0.15) if thin else rng.uniform(0.3, 0.38)
     angles = np.linspace(-arc / 2, arc / 2, 7)
     points = [(math.sin(a), -math.cos(a), 0.0) for a in angles]
-    sizes = radius * (1 - rng.uniform(0.0, 0.35) * (angles / angles[-1]) ** 2)
+    sizes = radius * (1 - rng.uniform(0.0, 0.35 if thin else 0.15) * (angles / angles[-1]) ** 2)
     parts = tuple(
         Capsule(points[i], points[i + 1], float((sizes[i] + sizes[i + 1]) / 2)) for i in range(len(points) - 1)
     )
-    return stand("crescent", SmoothUnion(parts, radius * 0.3), cut=rng.uniform(0.08, 0.15))
+    return stand("crescent", Union(parts), cut=rng.uniform(0.08, 0.15))
 
 
 def dumbbell(rng: Rng, thin: bool) -> Shape:

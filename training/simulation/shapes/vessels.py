@@ -34,7 +34,7 @@ def _hollow(outer: np.ndarray, thickness: float, floor: float) -> Revolution:
 
 
 def _mug_body(rng: Rng, thin: bool, height: float) -> tuple[Revolution, float]:
-    thickness = wall(rng, thin, grid_edge(1.3, 1, height))
+    thickness = wall(rng, thin, grid_edge(1.3 if thin else 1.6, 1, height))
     foot, lip = rng.uniform(0.36, 0.5), 0.5
     bulge = rng.uniform(-0.03, 0.06) if rng.random() < 0.5 else 0.0
     t = np.linspace(0, 1, 5 if bulge else 2)
@@ -46,8 +46,8 @@ def mug(rng: Rng, thin: bool) -> Shape:
     """Hollow, with a handle."""
     height = rng.uniform(0.75, 1.4)
     body, thickness = _mug_body(rng, thin, height)
-    grip = rng.uniform(0.05, 0.08) if thin else thickness / 2 * 1.05
-    rise = rng.uniform(0.24, 0.34) * height
+    grip = rng.uniform(0.05, 0.08) if thin else thickness * rng.uniform(0.5, 0.6)
+    rise = min(rng.uniform(0.24, 0.34) * height, 0.4)
     reach = rng.uniform(0.5, 0.55)
     loop = Torus(max(rise, 1.3 * grip), grip).turn("x", math.pi / 2).shift(x=reach, z=rng.uniform(0.48, 0.56) * height)
     # Only what lies outside the vessel's outer surface: a handle has no business in the coffee.
@@ -92,7 +92,7 @@ def bottle(rng: Rng, thin: bool) -> Shape:
     """Closed: body, shoulder, neck and cap."""
     height = rng.uniform(1.4, 3.0)
     edge = grid_edge(1, 1, height)
-    neck = rng.uniform(0.1, 0.2) if thin else min(max(rng.uniform(0.14, 0.26), 0.52 * SIMULABLE * edge), 0.32)
+    neck = rng.uniform(0.1, 0.2) if thin else min(max(rng.uniform(0.14, 0.26), 0.54 * SIMULABLE * edge), 0.34)
     shoulder = height * rng.uniform(0.5, 0.75)
     shoulder_length = rng.uniform(0.15, 0.4)
     neck_base = min(shoulder + shoulder_length, height * 0.9)
@@ -147,7 +147,7 @@ def tube(rng: Rng, thin: bool) -> Shape:
 def jug(rng: Rng, thin: bool) -> Shape:
     """A closed jug or kettle: a bulbous body, a spout and a handle."""
     body = Ellipsoid((0.5, 0.5, rng.uniform(0.42, 0.7)))
-    limb = rng.uniform(0.05, 0.09) if thin else rng.uniform(0.14, 0.17)
+    limb = rng.uniform(0.05, 0.09) if thin else rng.uniform(0.19, 0.22)
     spout = Capsule((0.3, 0, 0.0), (rng.uniform(0.62, 0.75), 0, rng.uniform(0.25, 0.45)), limb)
     handle = Torus(rng.uniform(0.28, 0.34), limb).turn("x", math.pi / 2).shift(x=-0.5, z=0.05)
     lid = Cylinder(rng.uniform(0.2, 0.28), 0.08).shift(z=body.semi_axes[2])
@@ -159,12 +159,14 @@ def mushroom(rng: Rng, thin: bool) -> Shape:
     height = rng.uniform(0.7, 1.5)
     edge = grid_edge(1, 1, height)
     stem = rng.uniform(0.03, 0.1) if thin else rng.uniform(0.55, 0.9) * SIMULABLE * edge
-    cap_height = rng.uniform(0.22, 0.5) * height
+    cap_height = rng.uniform(0.26, 0.5) * height
+    # Solid caps have a rim: a sharp edge would be thinner than any cell.
+    low, rim = height - cap_height, 0.0 if thin else 0.6 * cap_height
     foot = max(rng.uniform(0.2, 0.42), stem * 1.1)
     foot_height = rng.uniform(0.04, 0.1) * height if thin else SIMULABLE * edge
     parts: tuple[Field, ...] = (
         Cylinder(foot, foot_height / 2).shift(z=foot_height / 2),
         Cylinder(stem, height / 2 - cap_height / 4).shift(z=height / 2 - cap_height / 4),
-        Revolution(((0, height - cap_height), (0.5, height - cap_height), (rng.uniform(0.15, 0.4), height), (0, height))),
+        Revolution(((0, low), (0.5, low), (0.5, low + rim), (rng.uniform(0.15, 0.4), height), (0, height))),
     )
     return stand("mushroom", SmoothUnion(parts, rng.uniform(0.02, 0.1)))

@@ -1,0 +1,302 @@
+"""Watertight meshes as bodies: any file that trimesh reads, turned into a grid of signed distances."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import trimesh
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from training.simulation.shapes import Bounds, Field, Shape, stand
+from training.simulation.shapes.field import Coordinate, Distance
+
+RESOLUTION = 96
+"""Cells along the longest edge of the distance grid."""
+MARGIN_CELLS = 3
+EXACT_CELLS = 2
+"""Nodes this near to the surface get their exact distance; the zero set needs no more."""
+HALF_DIAGONAL = math.sqrt(3) / 2
+PLAUSIBLE_M = (0.002, 5.0)
+"""Sizes outside of which a mesh was probably written in another unit."""
+MERGE_TOLERANCE = 1e-7
+"""Vertices nearer than this part of the mesh's size are one: STL and glTF repeat them on every face."""
+
+Triangles = Float64[np.ndarray, "m corner=3 xyz=3"]
+
+
+class MeshError(ValueError):
+    """A mesh file that gives no body.
+
+    MeshError
+    ├── EmptyMesh       no triangles, or none with an area
+    └── NotWatertight   edges that don't join exactly two faces
+    """
+
+
+class EmptyMesh(MeshError):
+    """The file holds no triangles."""
+
+
+class NotWatertight(MeshError):
+    """`open_edges` counts the edges that don't join exactly two faces."""
+
+    def __init__(self, message: str, *, open_edges: int) -> None:
+        super().__init__(message)
+        self.open_edges = open_edges
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceGrid(Field):
+    """Signed distances on a regular grid, interpolated trilinearly.
+
+    Beyond the grid the value is a lower bound: the distance to the grid's box, or to the surface less that, whichever
+    is larger.
+
+    Attributes:
+        values: At the nodes, indexed [x, y, z].
+        low: Position of node (0, 0, 0).
+        pitch: Distance between nodes.
+        body: Box of the body within the grid.
+    """
+
+    values: Float32[np.ndarray, "x y z"] = field(repr=False)
+    low: tuple[float, float, float]
+    pitch: float
+    body: tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
+
+    def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
+        beyond = np.zeros(x.shape, np.float32)
+        cells, fractions = [], []
+        for coordinate, low, count in zip((x, y, z), self.low, self.values.shape, strict=True):
+            place = (coordinate - np.float32(low)) * np.float32(1 / self.pitch)
+            inside = np.clip(place, np.float32(0), np.float32(count - 1))
+            beyond += (place - inside) ** 2
+            cell = np.minimum(inside.astype(np.int32), count - 2)
+            cells.append(cell)
+            fractions.append(inside - cell)
+        _, ny, nz = self.values.shape
+        corner = (cells[0] * ny + cells[1]) * nz + cells[2]
+        flat, (fx, fy, fz) = self.values.ravel(), fractions
+        edges = []
+        for offset in (0, nz, ny * nz, ny * nz + nz):
+            first = flat[corner + offset]
+            edges.append(first + fz * (flat[corner + (offset + 1)] - first))
+        near, far = (edges[i] + fy * (edges[i + 1] - edges[i]) for i in (0, 2))
+        value = near + fx * (far - near)
+        outside = np.sqrt(beyond) * np.float32(self.pitch)
+        return np.where(outside > 0, np.maximum(outside, value - outside), value)
+
+    @property
+    def bounds(self) -> Bounds:
+        return np.array(self.body, np.float64)
+
+
+def mesh_shape(
+    path: str | Path, unit_m: float = 1.0, up_axis: Literal["x", "y", "z"] = "z", resolution: int = RESOLUTION
+) -> Shape:
+    """A body from a mesh file, standing on z = 0 and centred on the z axis, in metres.
+
+    Inside-out meshes are turned; repeated vertices are merged.
+
+    Args:
+        path: OBJ, STL, PLY, glTF or what else trimesh reads; a scene's parts are joined.
+        unit_m: Length of the file's unit in metres: 0.001 for millimetres.
+        up_axis: Axis of the file that points away from the ground; glTF files use y.
+        resolution: Cells of the distance grid along the longest edge.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        EmptyMesh: If it holds no triangles.
+        NotWatertight: If it has open edges, so that inside and outside are not told apart.
+        MeshError: If it cannot be read at all.
+    """
+    path = Path(path)
+    mesh = load_mesh(path)
+    triangles = np.asarray(mesh.triangles, np.float64) * unit_m
+    triangles = triangles[..., {"x": [1, 2, 0], "y": [2, 0, 1], "z": [0, 1, 2]}[up_axis]]  # even permutations
+    corners = triangles.reshape(-1, 3)
+    size_m = float(np.ptp(corners, axis=0).max())
+    if not PLAUSIBLE_M[0] <= size_m <= PLAUSIBLE_M[1]:
+        warnings.warn(
+            f"{path.name} is {size_m:.3g} m long: is its unit {unit_m} m? (0.001 for millimetres)", stacklevel=2
+        )
+    body = distance_grid(triangles, resolution)
+    return stand(path.stem, body, box=body.bounds)
+
+
+def load_mesh(path: Path) -> trimesh.Trimesh:
+    """Read, merge and check a mesh.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        EmptyMesh: If it holds no triangles.
+        NotWatertight: If it has open edges.
+        MeshError: If it cannot be read at all.
+    """
+    if not path.is_file():
+        raise FileNotFoundError(f"no mesh file at {path}")
+    try:
+        mesh = trimesh.load(path, force="mesh", process=False)
+    except Exception as error:  # each of trimesh's readers raises what it likes
+        raise MeshError(f"{path.name} cannot be read as a mesh: {error}") from error
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise EmptyMesh(f"{path.name} holds no triangles")
+    faces, vertices = _merged(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64))
+    if len(faces) == 0:
+        raise EmptyMesh(f"{path.name} holds no triangle with an area")
+    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    _, uses = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    # An even number is a closed surface too: bodies that touch along an edge share it four times.
+    open_edges = int((uses % 2 != 0).sum())
+    if open_edges:
+        raise NotWatertight(
+            f"{path.name} is not watertight: {open_edges} of {len(uses)} edges are open; close the holes first",
+            open_edges=open_edges,
+        )
+    if not mesh.is_winding_consistent:
+        trimesh.repair.fix_winding(mesh)
+    trimesh.repair.fix_inversion(mesh, multibody=False)
+    return mesh
+
+
+def distance_grid(triangles: Triangles, resolution: int = RESOLUTION) -> DistanceGrid:
+    """Signed distances of a closed, outward-facing surface.
+
+    Within two cells of the surface the distance is the exact one to the triangles of the two nearest surface samples;
+    farther away it is a lower bound, short by at most two cells.
+
+    Args:
+        triangles: Corners of the faces.
+        resolution: Cells along the longest edge.
+    """
+    corners = triangles.reshape(-1, 3)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    pitch = float((high - low).max() / resolution)
+    counts = np.ceil((high - low) / pitch).astype(int) + 1 + 2 * MARGIN_CELLS
+    origin = low - MARGIN_CELLS * pitch
+    axes = [origin[axis] + pitch * np.arange(counts[axis]) for axis in range(3)]
+    samples, owner = _sample_surface(triangles, 0.4 * pitch)
+    # Far away the distance to the nearest node that the surface passes by is enough. The surface lies within half a
+    # cell's diagonal of that node; less that, the value is a lower bound.
+    passed = np.zeros(counts, bool)
+    passed[tuple(np.rint((samples - origin) / pitch).astype(int).T)] = True
+    distance = (ndimage.distance_transform_edt(~passed) - HALF_DIAGONAL) * pitch
+    band = np.argwhere(distance < EXACT_CELLS * pitch)
+    nodes = origin + pitch * band
+    _, nearest = cKDTree(samples).query(nodes, k=2)
+    distance[tuple(band.T)] = np.minimum(
+        _triangle_distance(nodes, triangles[owner[nearest[:, 0]]]),
+        _triangle_distance(nodes, triangles[owner[nearest[:, 1]]]),
+    )
+    inside = _inside(triangles, axes)
+    signed = np.where(inside, -distance, distance).astype(np.float32)
+    box = [(float(low[axis]), float(high[axis])) for axis in range(3)]
+    return DistanceGrid(signed, (float(origin[0]), float(origin[1]), float(origin[2])), pitch, (box[0], box[1], box[2]))
+
+
+def _merged(
+    vertices: Float64[np.ndarray, "n 3"], faces: Int64[np.ndarray, "m 3"]
+) -> tuple[Int64[np.ndarray, "k 3"], Float64[np.ndarray, "l 3"]]:
+    """Faces over vertices merged by position, less those that collapse."""
+    vertices_used = vertices[faces.ravel()]
+    size = float(np.ptp(vertices_used, axis=0).max()) if len(vertices_used) else 0.0
+    if not np.isfinite(size) or size == 0.0:
+        return np.zeros((0, 3), np.int64), vertices
+    keys = np.round(vertices / (MERGE_TOLERANCE * size)).astype(np.int64)
+    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    merged = index.reshape(-1)[faces].astype(np.int64)
+    a, b, c = merged.T
+    return merged[(a != b) & (b != c) & (c != a)], vertices[first]
+
+
+def _sample_surface(triangles: Triangles, spacing: float) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
+    """Points no more than `spacing` apart on every triangle, and the triangle of each."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
+    divisions = np.maximum(np.ceil(longest / spacing), 1).astype(np.int64)
+    points, owners = [], []
+    for count in np.unique(divisions):
+        chosen = np.flatnonzero(divisions == count)
+        i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
+        keep = i + j <= count
+        u, v = i[keep] / count, j[keep] / count
+        part = (
+            a[chosen, None] + u[:, None] * (b - a)[chosen, None] + v[:, None] * (c - a)[chosen, None]
+        )  # (triangles, samples, xyz)
+        points.append(part.reshape(-1, 3))
+        owners.append(np.repeat(chosen, len(u)))
+    return np.concatenate(points), np.concatenate(owners)
+
+
+def _triangle_distance(points: Float64[np.ndarray, "n 3"], triangles: Float64[np.ndarray, "n corner=3 xyz=3"]) -> Float64[np.ndarray, " n"]:
+    """Distance from each point to its triangle: to the face where the foot of the perpendicular lies in it, else to an edge."""
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    squared = np.full(len(points), np.inf)
+    over = np.ones(len(points), bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        edge, offset = end - start, points - start
+        along = np.clip(_dot(offset, edge) / np.maximum(_dot(edge, edge), 1e-30), 0, 1)
+        gap = offset - along[:, None] * edge
+        squared = np.minimum(squared, _dot(gap, gap))
+        over &= _dot(np.cross(edge, offset), normal) >= 0
+    height = np.abs(_dot(points - a, normal)) / np.maximum(np.sqrt(_dot(normal, normal)), 1e-30)
+    return np.asarray(np.where(over, height, np.sqrt(squared)), np.float64)
+
+
+def _dot(a: Float64[np.ndarray, "n 3"], b: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+    return np.asarray(np.einsum("ij,ij->i", a, b), np.float64)
+
+
+def _inside(triangles: Triangles, axes: list[Float64[np.ndarray, " n"]]) -> Bool[np.ndarray, "x y z"]:
+    """Nodes whose winding number is not zero, so that overlapping parts of one file count as their union.
+
+    Each face adds its orientation to the nodes below it, for the columns of nodes that pass through it. The columns
+    are moved aside by an irrational hair so that none runs through an edge or a corner.
+    """
+    counts = [len(axis) for axis in axes]
+    pitch = axes[0][1] - axes[0][0]
+    origin = np.array([axes[0][0] + pitch * 7.123e-5, axes[1][0] + pitch * 3.317e-5])
+    local = triangles.copy()
+    local[:, :, :2] = (local[:, :, :2] - origin) / pitch
+    local[:, :, 2] = (local[:, :, 2] - axes[2][0]) / pitch
+    first = np.ceil(local[:, :, :2].min(axis=1)).astype(int)
+    spans = np.floor(local[:, :, :2].max(axis=1)).astype(int) - first + 1
+    crossing = (spans > 0).all(axis=1)
+    # Faces in classes of like size, so that each class is one array operation.
+    size = np.where(crossing, 2 ** np.ceil(np.log2(np.maximum(spans.max(axis=1), 1))), 0).astype(int)
+    change = np.zeros((counts[0], counts[1], counts[2] + 1), np.int32)
+    for width in np.unique(size[crossing]):
+        chosen = np.flatnonzero(size == width)
+        for part in np.array_split(chosen, max(1, len(chosen) * width * width // 500_000)):
+            _count_crossings(change, local[part], first[part], int(width))
+    return np.asarray(np.cumsum(change, axis=2)[:, :, :-1] != 0)
+
+
+def _count_crossings(
+    change: Int32[np.ndarray, "x y z"], triangles: Triangles, first: Int64[np.ndarray, "m 2"], width: int
+) -> None:
+    """Add the orientation of faces, in cells, to the nodes below them; columns start at `first`."""
+    i, j = np.meshgrid(np.arange(width), np.arange(width), indexing="ij")
+    columns_i, columns_j = first[:, 0, None, None] + i, first[:, 1, None, None] + j
+    a, b, c = (triangles[:, corner, :, None, None] for corner in range(3))
+    bx, by, cx, cy = b[:, 0] - a[:, 0], b[:, 1] - a[:, 1], c[:, 0] - a[:, 0], c[:, 1] - a[:, 1]
+    area = bx * cy - cx * by
+    px, py = columns_i - a[:, 0], columns_j - a[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):  # faces seen edge-on hit no column
+        wb, wc = (px * cy - cx * py) / area, (bx * py - px * by) / area
+        hit = np.nonzero((wb >= 0) & (wc >= 0) & (wb + wc <= 1) & (area != 0))
+        height = a[:, 2] + wb * (b[:, 2] - a[:, 2]) + wc * (c[:, 2] - a[:, 2])
+    level = np.clip(np.ceil(height[hit]), 0, change.shape[2] - 1).astype(int)
+    sign = np.where(area[:, 0, 0] > 0, 1, -1).astype(np.int32)[hit[0]]
+    rows, columns = columns_i[hit], columns_j[hit]
+    # An upward face ends the body: nodes below it are inside by one more.
+    np.add.at(change, (rows, columns, np.zeros_like(level)), sign)
+    np.add.at(change, (rows, columns, level), -sign)
