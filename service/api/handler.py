@@ -18,11 +18,12 @@ class Handler:
         self.metrics = Metrics(lambda: self._scheduler.queue_depth if self._scheduler else 0)
         self._scheduler: Scheduler | None = None
         self._manifests: tuple[Manifest, ...] = ()
+        self._stopping = False
 
     @property
     def ready(self) -> bool:
-        """Whether the models are loaded and warmed up."""
-        return self._scheduler is not None
+        """Whether the models are loaded and warmed up, and the service is not being stopped."""
+        return self._scheduler is not None and not self._stopping
 
     @property
     def manifests(self) -> tuple[Manifest, ...]:
@@ -48,6 +49,6 @@ class Handler:
 
     async def close(self, grace_s: float) -> None:
         """Answer what was accepted, for up to `grace_s` seconds, and refuse the rest."""
-        scheduler, self._scheduler = self._scheduler, None
-        if scheduler is not None:
-            await scheduler.close(grace_s)
+        self._stopping = True
+        if self._scheduler is not None:
+            await self._scheduler.close(grace_s)

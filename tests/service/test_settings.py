@@ -11,6 +11,12 @@ from service import settings as module
 from service.settings import Settings, available_cores
 
 
+@pytest.fixture(autouse=True)
+def no_settings_of_whoever_runs_the_tests(monkeypatch):
+    for name in [name for name in os.environ if name.startswith("PHYSNET_")]:
+        monkeypatch.delenv(name)
+
+
 def test_the_environment_sets_every_field(monkeypatch, tmp_path):
     chosen = {"HOST": "0.0.0.0", "HTTP_PORT": "0", "MODELS": str(tmp_path), "QUEUE_SIZE": "3", "TOKEN": "s3cret"}
     for name, value in chosen.items():
