@@ -23,7 +23,8 @@ CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for 
 PAIRS_24 = np.triu_indices(24)
 """Rows and columns of the 300 entries that a symmetric element matrix is stored as."""
 
-_GAUSS = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
+GAUSS_POINTS: Float64[np.ndarray, "8 3"] = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
+"""Local coordinates of the 2×2×2 Gauss points, one in each octant."""
 
 
 def shape_functions(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 8"]:
@@ -74,7 +75,7 @@ class MeanDilatationHexahedron:
     """
 
     def __init__(self, cell_edge: float) -> None:
-        gradients = shape_gradients(_GAUSS) / cell_edge
+        gradients = shape_gradients(GAUSS_POINTS) / cell_edge
         operator = np.zeros((8, 9, 24))
         for i in range(3):
             for j in range(3):

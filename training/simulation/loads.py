@@ -9,7 +9,7 @@ from jaxtyping import Float64
 
 from service.core.arrays import Vector3
 from training.simulation.body import Body, project_to_surface, surface_gradient
-from training.simulation.elements import shape_functions
+from training.simulation.elements import GAUSS_POINTS, shape_functions
 
 PATCH_RADIUS = 0.1
 """Default patch radius in units of L; a point load in three dimensions diverges under refinement."""
@@ -69,3 +69,16 @@ def nodal_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
     nodal = np.bincount(body.cell_nodes[cell[good]].ravel(), weights=spread.ravel(), minlength=body.nodes)
     nodal /= nodal.sum()
     return nodal[:, None] * (load.load_number * load.direction)
+
+
+def self_weight(body: Body, weight_number: Vector3) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal forces of a uniform body force.
+
+    Args:
+        body: The body.
+        weight_number: ρ g L / E times the unit vector of gravity.
+    """
+    volume = body.octant_fill * (body.cell_edge**3 / 8.0)
+    share = shape_functions(GAUSS_POINTS).T @ volume
+    nodal = np.bincount(body.cell_nodes.T.ravel(), weights=share.ravel(), minlength=body.nodes)
+    return np.asarray(nodal[:, None] * weight_number)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,7 +36,8 @@ class Solution:
 
     Attributes:
         displacement: Nodal displacements in units of L; of the last iterate where not converged.
-        load: The load of this step.
+        fraction: Part of the full load that this step carries.
+        load: The load of this step; None where forces were given instead of a load.
         converged: Whether `reason` is None.
         reason: None, or `not_converged`, `inverted`, `left_cube`.
         iterations: Newton iterations of this step.
@@ -47,7 +48,8 @@ class Solution:
     """
 
     displacement: Float64[np.ndarray, "nodes 3"]
-    load: Load
+    fraction: float
+    load: Load | None
     reason: str | None
     iterations: int
     residual: float
@@ -86,8 +88,19 @@ def solve_neo_hookean(
     Raises:
         LoadError: the load touches no material.
     """
-    problem = _Problem(solver, nodal_forces(solver.body, load))
-    linear = solver.solve_forces(problem.full_force[None])[0].reshape(-1)[solver.body.free_dof]
+    steps = follow_forces(solver, nodal_forces(solver.body, load), fractions, tolerance)
+    return [replace(step, load=replace(load, load_number=load.load_number * step.fraction)) for step in steps]
+
+
+def follow_forces(
+    solver: LinearSolver,
+    forces: Float64[np.ndarray, "nodes 3"],
+    fractions: Sequence[float] = (1 / 3, 2 / 3, 1.0),
+    tolerance: float = TOLERANCE,
+) -> list[Solution]:
+    """As `solve_neo_hookean`, for any dead nodal forces: several loads at once, or the body's own weight."""
+    problem = _Problem(solver, forces)
+    linear = solver.solve_forces(forces[None])[0].reshape(-1)[solver.body.free_dof]
     solutions: list[Solution] = []
     free = np.zeros(len(solver.body.free_dof))
     before = np.zeros_like(free)
@@ -100,8 +113,7 @@ def solve_neo_hookean(
             slope = (free - before) / (reached - reached_before)
             guesses = [free + (fraction - reached) * slope]
         state, iterations, residual = problem.equilibrium(fraction, [*guesses, free], tolerance)
-        step = Load(load.contact, load.direction, load.load_number * fraction, load.patch_radius)
-        solution = problem.solution(state, step, iterations, residual, tolerance)
+        solution = problem.solution(state, fraction, iterations, residual, tolerance)
         solutions.append(solution)
         if not solution.converged:
             break
@@ -218,7 +230,9 @@ class _Problem:
         )
         return self.solver.assemble(element)
 
-    def solution(self, state: _State, load: Load, iterations: int, residual: float, tolerance: float) -> Solution:
+    def solution(
+        self, state: _State, fraction: float, iterations: int, residual: float, tolerance: float
+    ) -> Solution:
         """Judge a state and record it."""
         displacement = np.zeros(3 * self.body.nodes)
         displacement[self.body.free_dof] = state.free
@@ -234,7 +248,8 @@ class _Problem:
             reason = "left_cube"
         return Solution(
             displacement=nodal,
-            load=load,
+            fraction=fraction,
+            load=None,
             reason=reason,
             iterations=iterations,
             residual=residual,
