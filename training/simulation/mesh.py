@@ -91,7 +91,8 @@ class DistanceGrid(Field):
         near, far = (edges[i] + fy * (edges[i + 1] - edges[i]) for i in (0, 2))
         value = near + fx * (far - near)
         outside = np.sqrt(beyond) * np.float32(self.pitch)
-        return np.where(outside > 0, np.maximum(outside, value - outside), value)
+        distance: Distance = np.where(outside > 0, np.maximum(outside, value - outside), value)
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -161,7 +162,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
             open_edges=open_edges,
         )
     if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)
+        trimesh.repair.fix_winding(mesh)  # type: ignore[no-untyped-call]
     trimesh.repair.fix_inversion(mesh, multibody=False)
     return mesh
 
@@ -190,7 +191,7 @@ def distance_grid(triangles: Triangles, resolution: int = RESOLUTION) -> Distanc
     distance = (ndimage.distance_transform_edt(~passed) - HALF_DIAGONAL) * pitch
     band = np.argwhere(distance < EXACT_CELLS * pitch)
     nodes = origin + pitch * band
-    _, nearest = cKDTree(samples).query(nodes, k=2)
+    nearest = np.asarray(cKDTree(samples).query(nodes, k=2)[1], np.int64)
     distance[tuple(band.T)] = np.minimum(
         _triangle_distance(nodes, triangles[owner[nearest[:, 0]]]),
         _triangle_distance(nodes, triangles[owner[nearest[:, 1]]]),
@@ -219,7 +220,7 @@ def _merged(
 def _sample_surface(triangles: Triangles, spacing: float) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
     """Points no more than `spacing` apart on every triangle, and the triangle of each."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    longest = np.max([np.linalg.norm(b - a, axis=1), np.linalg.norm(c - b, axis=1), np.linalg.norm(a - c, axis=1)], axis=0)
+    longest = np.max([np.linalg.norm(end - start, axis=1) for start, end in ((a, b), (b, c), (c, a))], axis=0)
     divisions = np.maximum(np.ceil(longest / spacing), 1).astype(np.int64)
     points, owners = [], []
     for count in np.unique(divisions):
@@ -235,8 +236,10 @@ def _sample_surface(triangles: Triangles, spacing: float) -> tuple[Float64[np.nd
     return np.concatenate(points), np.concatenate(owners)
 
 
-def _triangle_distance(points: Float64[np.ndarray, "n 3"], triangles: Float64[np.ndarray, "n corner=3 xyz=3"]) -> Float64[np.ndarray, " n"]:
-    """Distance from each point to its triangle: to the face where the foot of the perpendicular lies in it, else to an edge."""
+def _triangle_distance(
+    points: Float64[np.ndarray, "n 3"], triangles: Float64[np.ndarray, "n corner=3 xyz=3"]
+) -> Float64[np.ndarray, " n"]:
+    """Distance from each point to its triangle: to the face where the perpendicular meets it, else to an edge."""
     a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
     normal = np.cross(b - a, c - a)
     squared = np.full(len(points), np.inf)

@@ -90,7 +90,7 @@ class Placed(Field):
         rotation = np.array(self.rotation)
         centre = self.scale * rotation @ centre + np.array(self.translation)
         half = self.scale * np.abs(rotation) @ half
-        return np.stack([centre - half, centre + half], axis=1)
+        return np.asarray(np.stack([centre - half, centre + half], axis=1), np.float64)
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,8 @@ class Stretched(Field):
 
     @property
     def bounds(self) -> Bounds:
-        return self.child.bounds * np.array(self.factors)[:, None]
+        box: Bounds = self.child.bounds * np.array(self.factors)[:, None]
+        return box
 
 
 @dataclass(frozen=True)
@@ -155,7 +156,8 @@ class SmoothUnion(Field):
     def bounds(self) -> Bounds:
         # Each blend lifts the surface by at most width/4; more than four parts never meet in one place here.
         margin = self.width / 4 * min(len(self.fields) - 1, 3)
-        return _hull(self.fields) + np.array([-margin, margin])
+        box: Bounds = _hull(self.fields) + np.array([-margin, margin])
+        return box
 
 
 @dataclass(frozen=True)
@@ -182,7 +184,8 @@ class Subtraction(Field):
     cutter: Field
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
-        return np.maximum(self.body.at(x, y, z), -self.cutter.at(x, y, z))
+        distance: Distance = np.maximum(self.body.at(x, y, z), -self.cutter.at(x, y, z))
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -201,7 +204,8 @@ class Rounded(Field):
 
     @property
     def bounds(self) -> Bounds:
-        return self.child.bounds + np.array([-self.radius, self.radius])
+        box: Bounds = self.child.bounds + np.array([-self.radius, self.radius])
+        return box
 
 
 @dataclass(frozen=True)

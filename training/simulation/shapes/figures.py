@@ -68,8 +68,9 @@ def duck(rng: Rng, thin: bool) -> Shape:
     body = Ellipsoid((rng.uniform(0.45, 0.55), rng.uniform(0.3, 0.38), rng.uniform(0.26, 0.34)))
     head = rng.uniform(0.2, 0.26)
     head_at = (body.semi_axes[0] * rng.uniform(0.45, 0.65), 0.0, body.semi_axes[2] + head * rng.uniform(0.5, 0.8))
-    beak = Ellipsoid((0.12, 0.09, 0.05) if thin else (0.15, 0.15, 0.14)).shift(head_at[0] + head, 0.0, head_at[2] - 0.04)
+    beak = Ellipsoid((0.12, 0.09, 0.05) if thin else (0.15, 0.15, 0.14))
+    beak_at = (head_at[0] + head, 0.0, head_at[2] - 0.04)
     size = 0.06 if thin else 0.15
     tail = Capsule((-body.semi_axes[0] * 0.6, 0, 0.05), (-body.semi_axes[0] * rng.uniform(1.0, 1.2), 0, 0.2), size)
-    parts = (body, Sphere(head).shift(*head_at), beak, tail)
+    parts = (body, Sphere(head).shift(*head_at), beak.shift(*beak_at), tail)
     return stand("duck", SmoothUnion(parts, rng.uniform(0.05, 0.14)), cut=rng.uniform(0.1, 0.22))

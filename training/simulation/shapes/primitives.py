@@ -20,7 +20,7 @@ Polygon: TypeAlias = tuple[tuple[float, float], ...]
 ZERO = np.float32(0)
 TINY = np.float32(1e-12)
 POLYGON_BLOCK = 1024
-"""Points whose distances to all edges are found together: large enough to hide the calls, small enough for the cache."""
+"""Points whose distances to all edges are found together: enough to hide the calls, few enough for the cache."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,8 @@ class Box(Field):
         qx, qy, qz = np.abs(x) - hx, np.abs(y) - hy, np.abs(z) - hz
         inside = np.minimum(np.maximum(np.maximum(qx, qy), qz), ZERO)
         qx, qy, qz = np.maximum(qx, ZERO), np.maximum(qy, ZERO), np.maximum(qz, ZERO)
-        return np.sqrt(qx * qx + qy * qy + qz * qz) + inside
+        distance: Distance = np.sqrt(qx * qx + qy * qy + qz * qz) + inside
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -48,7 +49,8 @@ class Sphere(Field):
     radius: float
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
-        return np.sqrt(x * x + y * y + z * z) - np.float32(self.radius)
+        distance: Distance = np.sqrt(x * x + y * y + z * z) - np.float32(self.radius)
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -79,7 +81,8 @@ class Torus(Field):
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         q = np.sqrt(x * x + y * y) - np.float32(self.major_radius)
-        return np.sqrt(q * q + z * z) - np.float32(self.minor_radius)
+        distance: Distance = np.sqrt(q * q + z * z) - np.float32(self.minor_radius)
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -99,9 +102,11 @@ class Capsule(Field):
         a = np.array(self.start, np.float32)
         b = np.array(self.end, np.float32) - a
         px, py, pz = x - a[0], y - a[1], z - a[2]
-        along = np.clip((px * b[0] + py * b[1] + pz * b[2]) * (np.float32(1) / max(b @ b, TINY)), 0, 1)
+        squared = np.maximum(np.dot(b, b), TINY)
+        along = np.clip((px * b[0] + py * b[1] + pz * b[2]) / squared, ZERO, np.float32(1))
         px, py, pz = px - along * b[0], py - along * b[1], pz - along * b[2]
-        return np.sqrt(px * px + py * py + pz * pz) - np.float32(self.radius)
+        distance: Distance = np.sqrt(px * px + py * py + pz * pz) - np.float32(self.radius)
+        return distance
 
     @property
     def bounds(self) -> Bounds:
@@ -261,7 +266,8 @@ def _extrude(flat: Distance, along: Coordinate, half_length: float) -> Distance:
     beyond = np.abs(along) - np.float32(half_length)
     inside = np.minimum(np.maximum(flat, beyond), ZERO)
     flat, beyond = np.maximum(flat, ZERO), np.maximum(beyond, ZERO)
-    return np.sqrt(flat * flat + beyond * beyond) + inside
+    distance: Distance = np.sqrt(flat * flat + beyond * beyond) + inside
+    return distance
 
 
 def _symmetric(x: float, y: float, z: float) -> Bounds:

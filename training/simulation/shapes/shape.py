@@ -64,9 +64,7 @@ class Shape:
         """A box that holds the body, [[x low, x high], …]; `tight_bounds` gives the smallest one."""
         return self.field.bounds
 
-    def moved(
-        self, yaw_rad: float = 0.0, scale: float = 1.0, translation: Triple = (0.0, 0.0, 0.0)
-    ) -> Shape:
+    def moved(self, yaw_rad: float = 0.0, scale: float = 1.0, translation: Triple = (0.0, 0.0, 0.0)) -> Shape:
         """The body turned about z, then scaled about the origin, then moved."""
         return replace(self, field=place(self.field, axis_rotation("z", yaw_rad), scale, translation))
 
@@ -126,7 +124,9 @@ def sample_points(box: Bounds, counts: tuple[int, int, int]) -> Points:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3).astype(np.float32)
 
 
-def voxelize(shape: Shape, resolution: int, box: Bounds | None = None) -> tuple[Bool[np.ndarray, "x y z"], float, Bounds]:
+def voxelize(
+    shape: Shape, resolution: int, box: Bounds | None = None
+) -> tuple[Bool[np.ndarray, "x y z"], float, Bounds]:
     """Occupancy on cubic voxels over a box (the body's bounds if none is given).
 
     Args:
@@ -238,7 +238,7 @@ def min_thickness(shape: Shape, resolution: int = 56, finest: float = 0.04) -> f
         low, high = (middle, high) if _covers(padded, depth, middle / 2) else (low, middle)
         if high * pitch / edge < finest:
             break
-    return low * pitch / edge
+    return float(low * pitch / edge)
 
 
 def _covers(occupancy: np.ndarray, depth: np.ndarray, radius: float) -> bool:

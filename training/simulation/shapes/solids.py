@@ -152,7 +152,8 @@ def fruit(rng: Rng, thin: bool) -> Shape:
     radius = rng.uniform(0.22, 0.36)
     upper = Ellipsoid((radius, radius, radius * rng.uniform(0.9, 1.5)))
     offset = (rng.uniform(-0.1, 0.1), rng.uniform(-0.1, 0.1), rng.uniform(0.25, 0.55))
-    return stand("fruit", SmoothUnion((lower, upper.shift(*offset)), rng.uniform(0.2, 0.5)), cut=rng.uniform(0.06, 0.15))
+    body = SmoothUnion((lower, upper.shift(*offset)), rng.uniform(0.2, 0.5))
+    return stand("fruit", body, cut=rng.uniform(0.06, 0.15))
 
 
 def crescent(rng: Rng, thin: bool) -> Shape:

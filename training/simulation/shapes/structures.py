@@ -142,8 +142,9 @@ def h_beam(rng: Rng, thin: bool) -> Shape:
     s = (across - web) / 2
     outline = np.array(
         [
-            (0, 0), (across, 0), (across, flange), (s + web, flange), (s + web, along - flange), (across, along - flange),
-            (across, along), (0, along), (0, along - flange), (s, along - flange), (s, flange), (0, flange),
+            (0, 0), (across, 0), (across, flange), (s + web, flange), (s + web, along - flange),
+            (across, along - flange), (across, along), (0, along),
+            (0, along - flange), (s, along - flange), (s, flange), (0, flange),
         ]
     )  # fmt: skip
     return stand("h_beam", Extrusion(_polygon(outline if upright else outline[:, ::-1]), depth / 2))
@@ -170,7 +171,8 @@ def tower(rng: Rng, thin: bool) -> Shape:
         half = size / 2
         # Each part reaches a hair into the one below: two faces that only touch are not one body.
         if rng.random() < 0.5:
-            part: Field = Box((half, half * rng.uniform(0.7, 1.0), height / 2 + 0.005)).turn("z", rng.uniform(0, math.pi))
+            part: Field = Box((half, half * rng.uniform(0.7, 1.0), height / 2 + 0.005))
+            part = part.turn("z", rng.uniform(0, math.pi))
         else:
             part = Cylinder(half, height / 2 + 0.005)
         parts.append(part.shift(x, y, base + height / 2))

@@ -29,7 +29,8 @@ def _hollow(outer: np.ndarray, thickness: float, floor: float) -> Revolution:
     bottom = np.interp(outer[0, 1] + floor, outer[:, 1], outer[:, 0])
     bottom_slope = np.interp(outer[0, 1] + floor, outer[:, 1], slope)
     inner_bottom = max(float(bottom - thickness * math.sqrt(1 + bottom_slope**2)), 0.02)
-    corners = [(0.0, outer[0, 1]), *outer, *inner[::-1], (inner_bottom, outer[0, 1] + floor), (0.0, outer[0, 1] + floor)]
+    top_of_floor = outer[0, 1] + floor
+    corners = [(0.0, outer[0, 1]), *outer, *inner[::-1], (inner_bottom, top_of_floor), (0.0, top_of_floor)]
     return Revolution(tuple((float(r), float(z)) for r, z in corners))
 
 
