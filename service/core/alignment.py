@@ -63,7 +63,7 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
     z = axes[:, nearest] * np.sign(axes[2, nearest])
     x = axes[:, max(i for i in range(3) if i != nearest)]
     x = x * _third_moment_sign(centred @ x)
-    rotation = np.stack([x, np.cross(z, x), z], axis=1)
+    rotation = np.stack([x, np.cross(z, x), z], axis=1).astype(np.float64)
     return _enclosing_grid(centres, grid, rotation, on_floor=False)
 
 
@@ -82,9 +82,11 @@ def resample(probability: Probability, source: Grid, target: Grid) -> Probabilit
     # One voxel of zeros around the source stands for everything outside.
     padded = np.pad(probability, 1)
     size = GRID_SIZE + 2
-    position = [np.clip(p + np.float32(1), 0, np.float32(size - 1.001)) for p in position]
+    last = np.nextafter(np.float32(size - 1), np.float32(0))
+    position = [np.clip(p + np.float32(1), 0, last) for p in position]
     low = [p.astype(np.int32) for p in position]
-    fraction = [p - i for p, i in zip(position, low, strict=True)]
+    # Back to float32 first: float32 minus int32 would be float64, and twice the memory to move.
+    fraction = [p - i.astype(np.float32) for p, i in zip(position, low, strict=True)]
     base = (low[0] * size + low[1]) * size + low[2]
     flat = padded.ravel()
 

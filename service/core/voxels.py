@@ -146,7 +146,7 @@ def _centres_camera(
     return x, y, z
 
 
-def _slice_along(padded: Bool[np.ndarray, "x y z"], axis: int, start: int) -> Bool[np.ndarray, "x y z"]:
+def _slice_along(padded: Bool[np.ndarray, "x y z"], axis: int, start: int) -> Bool[np.ndarray, "_ _ _"]:
     """The part of one axis that begins at `start` and is as long as the grid."""
     window = [slice(None)] * 3
     window[axis] = slice(start, start + GRID_SIZE)

@@ -1,0 +1,107 @@
+import numpy as np
+import pytest
+
+from service.core.camera import make_intrinsics
+from service.core.grids import Grid
+from service.core.voxels import EDGE_OVER_EXTENT, FRONT_MARGIN, carve_free, cover, view_axes, view_grid, voxelize
+from service.core.voxels import voxelize_points
+from tests.synthetic_scenes import CAMERA, Box, TableScene, render
+
+BOX = Box((-0.05, -0.05, 0.0), (0.05, 0.05, 0.12))
+
+
+def points_of(scene: TableScene, index: int = 0) -> np.ndarray:
+    rows, columns = np.nonzero(scene.shown == index)
+    z = scene.depth_m[rows, columns]
+    rays = [(columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy, np.ones(len(rows))]
+    return (np.stack(rays, axis=1) * z[:, None]).astype(np.float32)
+
+
+def true_occupancy(scene: TableScene, grid: Grid, box: Box) -> np.ndarray:
+    index = np.indices((64, 64, 64)).reshape(3, -1).T
+    table_from_grid = np.linalg.inv(scene.camera_from_table) @ grid.camera_from_grid
+    centres = (index + 0.5) * grid.pitch_m @ table_from_grid[:3, :3].T + table_from_grid[:3, 3]
+    return ((centres > box.low) & (centres < box.high)).all(axis=1).reshape(64, 64, 64)
+
+
+def test_view_axes_are_upright_and_look_away_from_the_camera() -> None:
+    scene = render([BOX])
+    rotation = view_axes(scene.up)[:3, :3]
+    np.testing.assert_allclose(rotation.T @ rotation, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    np.testing.assert_allclose(rotation[:, 2], scene.up, atol=1e-12)
+    assert rotation[2, 0] > 0.5  # x goes away from the camera
+
+
+def test_view_axes_of_a_camera_that_looks_straight_down_follow_the_image() -> None:
+    rotation = view_axes(np.array([0.0, 0.0, -1.0]))[:3, :3]
+    np.testing.assert_allclose(rotation[:, 0], [0.0, -1.0, 0.0], atol=1e-12)
+
+
+def test_view_grid_stands_on_the_support_and_leaves_room_behind() -> None:
+    scene = render([BOX])
+    points = points_of(scene)
+    grid = view_grid(points, scene.up, scene.offset_m)
+    floor = grid.camera_from_grid[:3, 3]
+    assert scene.up @ floor + scene.offset_m == pytest.approx(0.0, abs=1e-6)
+    local = (points - floor) @ grid.camera_from_grid[:3, :3]
+    # The front face is the nearest; 0.5 % of the points may lie before it.
+    assert np.percentile(local[:, 0], 0.5) == pytest.approx(FRONT_MARGIN * grid.edge_m, rel=1e-3)
+    assert grid.edge_m == pytest.approx(EDGE_OVER_EXTENT * 0.12, rel=0.03)
+
+
+def test_voxelize_keeps_observed_free_and_unknown_apart() -> None:
+    scene = render([BOX])
+    view = voxelize(points_of(scene), scene.depth_m, CAMERA, scene.up, scene.offset_m)
+    truth = true_occupancy(scene, view.grid, BOX)
+    assert not (view.observed & view.free).any()
+    assert not (truth & view.free).any(), "a ray has gone through the solid"
+    # Every point of the surface lies in an observed voxel, and each of these touches the body.
+    assert cover(truth, view.observed).sum() == truth.sum()
+    unknown = ~view.observed & ~view.free
+    assert truth[unknown].sum() > 0.8 * truth.sum(), "the inside of the body is unknown"
+    # Nothing hides the space between camera and body.
+    assert view.free[:3].mean() > 0.95
+
+
+def test_nothing_is_free_where_the_sensor_gives_no_reading() -> None:
+    scene = render([BOX])
+    grid = view_grid(points_of(scene), scene.up, scene.offset_m)
+    blind = np.full_like(scene.depth_m, np.nan)
+    assert not carve_free(blind, CAMERA, grid).any()
+
+
+def test_voxels_behind_the_camera_or_outside_the_image_are_unknown() -> None:
+    behind = np.eye(4)
+    behind[:3, 3] = (0.0, 0.0, -1.0)
+    far = np.full((480, 640), 5.0, np.float32)
+    assert not carve_free(far, CAMERA, Grid(0.001, behind)).any()
+    aside = np.eye(4)
+    aside[:3, 3] = (3.0, 0.0, 1.0)
+    assert not carve_free(far, CAMERA, Grid(0.001, aside)).any()
+
+
+def test_carving_follows_the_lens_distortion() -> None:
+    distorted = make_intrinsics(600.0, 600.0, 319.5, 239.5, 640, 480, distortion=(-0.2, 0.05, 0.0, 0.0))
+    scene = render([BOX], intrinsics=distorted)
+    grid = view_grid(points_of(render([BOX])), scene.up, scene.offset_m)
+    truth = true_occupancy(scene, grid, BOX)
+    assert not (truth & carve_free(scene.depth_m, distorted, grid)).any()
+
+
+def test_points_outside_the_grid_are_left_out() -> None:
+    grid = Grid(pitch_m=0.1, camera_from_grid=np.eye(4))
+    occupied = voxelize_points(np.array([[0.05, 0.15, 0.25], [-0.01, 0.1, 0.1], [6.5, 0.1, 0.1]], np.float32), grid)
+    assert occupied.sum() == 1
+    assert occupied[0, 1, 2]
+
+
+def test_cover_adds_only_what_is_farther_than_a_voxel_from_the_body() -> None:
+    body = np.zeros((64, 64, 64), bool)
+    body[30:34, 30:34, 0:5] = True
+    observed = np.zeros_like(body)
+    observed[34, 34, 5] = True  # touches at a corner
+    observed[40, 30, 2] = True  # does not
+    covered = cover(body, observed)
+    assert covered[40, 30, 2]
+    assert covered.sum() == body.sum() + 1
