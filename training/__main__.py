@@ -29,7 +29,6 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--data", type=Path, required=True, help="folder of the data set")
     fit.add_argument("--run", dest="run_folder", type=Path, required=True, help="folder of the run")
     fit.add_argument("--steps", type=int, help="optimizer steps in all")
-    fit.add_argument("--batch", type=int)
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)
     fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
@@ -84,7 +83,7 @@ def _fit(options: argparse.Namespace) -> int:
     from training.runs import Run, RunError
 
     torch.set_num_threads(options.threads)
-    chosen = {key: getattr(options, key) for key in ("steps", "batch", "learning_rate", "seed")}
+    chosen = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     chosen = {key: value for key, value in chosen.items() if value is not None}
     run = Run(options.run_folder)
     try:

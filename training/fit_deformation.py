@@ -25,6 +25,8 @@ class FitDeformationConfig:
     """All that a run is made of; saved in every checkpoint.
 
     Attributes:
+        bodies: Bodies of a batch.
+        loads: Loads on each of them: the encoder, half of the work, is paid once a body.
         points: Voxels of each sample at which the occupancy is compared; half of them where body and deformed body
             differ or lie close, the rest anywhere.
         occupancy_weight: Weight of the cross-entropy beside the relative displacement error, of order one each.
@@ -33,8 +35,9 @@ class FitDeformationConfig:
 
     network: DeformationConfig = field(default_factory=DeformationConfig)
     seed: int = 0
-    batch: int = 16
-    steps: int = 6000
+    bodies: int = 8
+    loads: int = 4
+    steps: int = 2000
     learning_rate: float = 1e-3
     warm_up: int = 200
     weight_decay: float = 1e-4
@@ -68,7 +71,7 @@ def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
         # Everything random of a step comes from (seed, step): a resumed run repeats what an unbroken one does.
         rng = np.random.default_rng((config.seed, step))
         torch.manual_seed(config.seed * 1_000_003 + step)
-        batch = augmented(training.batch(rng.choice(len(training), config.batch, replace=False)), rng)
+        batch = augmented(training.batch_by_body(config.bodies, config.loads, rng), rng)
         losses = step_losses(network, batch, config)
         loss = sum(losses.values(), start=torch.zeros(()))
         run.check_finite(loss, step)
@@ -101,7 +104,7 @@ def step_losses(
     field, mean, log_variance = network(batch.rest, batch.condition, noise)
     points, target = sample_points(batch, config.points)
     source = points - sample_field(field, points).transpose(1, 2)
-    occupancy = sample_field(batch.rest, source)[:, 0]
+    occupancy = sample_field(batch.rest_of_loads, source)[:, 0]
     return {
         "displacement": relative_displacement(field, batch.displacement, batch.coverage, batch.peak, HALF_VOXEL),
         "occupancy": config.occupancy_weight * modified_bce(occupancy, target, config.alpha),
@@ -114,7 +117,7 @@ def sample_points(batch: DeformationBatch, count: int) -> tuple[Tensor, Tensor]:
 
     Half are drawn where the body was or is, with one voxel around it; the rest anywhere in the cube.
     """
-    either = torch.maximum(batch.rest[:, 0], batch.deformed)
+    either = torch.maximum(batch.rest_of_loads[:, 0], batch.deformed)
     near = torch.nn.functional.max_pool3d(either[:, None], 3, stride=1, padding=1)[:, 0].flatten(1)
     weight = near / near.sum(dim=1, keepdim=True) + 1.0 / near.shape[1]
     index = torch.multinomial(weight, count, replacement=True)

@@ -24,7 +24,7 @@ class FitReconstructionConfig:
     network: ReconstructionConfig = field(default_factory=ReconstructionConfig)
     seed: int = 0
     batch: int = 16
-    steps: int = 6000
+    steps: int = 2000
     learning_rate: float = 1e-3
     warm_up: int = 200
     weight_decay: float = 1e-4

@@ -70,8 +70,21 @@ class DeformationSet:
         )  # fmt: skip
 
     def batch(self, rows: Int[np.ndarray, " b"]) -> DeformationBatch:
+        """The samples of these rows, each with its own body."""
+        return self._batch(self.body[rows], rows)
+
+    def batch_by_body(self, bodies: int, loads: int, rng: np.random.Generator) -> DeformationBatch:
+        """Random loads on a few random bodies, which the encoder then sees once each."""
+        chosen = rng.choice(len(self.rest), bodies, replace=False)
+        rows = []
+        for body in chosen:
+            own = np.flatnonzero(self.body == body)
+            rows.append(rng.choice(own, loads, replace=len(own) < loads))
+        return self._batch(chosen, np.concatenate(rows))
+
+    def _batch(self, bodies: Int[np.ndarray, " bodies"], rows: Int[np.ndarray, " b"]) -> DeformationBatch:
         return DeformationBatch(
-            rest=unpack(self.rest[self.body[rows]]),
+            rest=unpack(self.rest[bodies]),
             condition=torch.from_numpy(self.condition[rows]),
             deformed=unpack(self.deformed[rows])[:, 0],
             displacement=torch.from_numpy(self.displacement[rows]).float(),
@@ -82,14 +95,19 @@ class DeformationSet:
 
 @dataclass(frozen=True)
 class DeformationBatch:
-    """Tensors of one step."""
+    """Tensors of one step; the same number of consecutive loads belongs to each body."""
 
-    rest: Float[Tensor, "b 1 64 64 64"]
+    rest: Float[Tensor, "bodies 1 64 64 64"]
     condition: Float[Tensor, "b 9"]
     deformed: Float[Tensor, "b 64 64 64"]
     displacement: Float[Tensor, "b 3 32 32 32"]
     coverage: Float[Tensor, "b 1 32 32 32"]
     peak: Float[Tensor, " b"]
+
+    @property
+    def rest_of_loads(self) -> Float[Tensor, "b 1 64 64 64"]:
+        """The undeformed body of every load."""
+        return self.rest.repeat_interleave(len(self.condition) // len(self.rest), dim=0)
 
     def mirrored(self, axis: int) -> DeformationBatch:
         """Mirror image in the plane through the middle of the cube across horizontal axis 0 or 1: still a solution."""

@@ -160,14 +160,20 @@ class DeformationNetwork(nn.Module):
         """Backward displacement in edges of the grid, and μ, log σ² of the latent.
 
         Args:
-            rest: Undeformed occupancy; one body for all loads, or as many bodies as loads.
+            rest: Undeformed occupancy; the loads are divided evenly among the bodies, in order.
             condition: See `service.core.condition`.
             noise: Standard normal for a sample of the posterior, zeros for its mean: z = μ + σ·noise.
         """
         fine, middle, coarse, mean, log_variance = self.encoder(rest)
-        loads = condition.shape[0]
+        if rest.shape[0] == 1:  # as served: the number of loads is free, and nothing is copied
+            loads = condition.shape[0]
+            fine, middle, coarse = (f.expand(loads, -1, -1, -1, -1) for f in (fine, middle, coarse))
+        else:
+            each = condition.shape[0] // rest.shape[0]
+            fine, middle, coarse, mean, log_variance = (
+                f.repeat_interleave(each, dim=0) for f in (fine, middle, coarse, mean, log_variance)
+            )
         z = mean + torch.exp(0.5 * log_variance) * noise
-        fine, middle, coarse = (f.expand(loads, -1, -1, -1, -1) for f in (fine, middle, coarse))
         return self.generator(fine, middle, coarse, z, condition), mean, log_variance
 
 

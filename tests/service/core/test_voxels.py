@@ -3,8 +3,16 @@ import pytest
 
 from service.core.camera import make_intrinsics
 from service.core.grids import Grid
-from service.core.voxels import EDGE_OVER_EXTENT, FRONT_MARGIN, carve_free, cover, view_axes, view_grid, voxelize
-from service.core.voxels import voxelize_points
+from service.core.voxels import (
+    EDGE_OVER_EXTENT,
+    FRONT_MARGIN,
+    carve_free,
+    cover,
+    view_axes,
+    view_grid,
+    voxelize,
+    voxelize_points,
+)
 from tests.synthetic_scenes import CAMERA, Box, TableScene, render
 
 BOX = Box((-0.05, -0.05, 0.0), (0.05, 0.05, 0.12))
