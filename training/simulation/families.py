@@ -87,9 +87,10 @@ def sample_shape(family: str, rng: np.random.Generator, thin: bool = False) -> S
 
 def stands(shape: Shape) -> bool:
     """Whether a body is one piece, touches z = 0 with a foot, and has its centre of mass above the foot's box."""
-    occupancy, _, _ = voxelize(shape, CHECK_RESOLUTION, tight_bounds(shape))
-    if not occupancy[:, :, 0].any():
+    box = tight_bounds(shape)
+    if abs(box[2, 0]) > 0.01 * (box[2, 1] - box[2, 0]):
         return False
+    occupancy, _, _ = voxelize(shape, CHECK_RESOLUTION, box)
     # Thin walls may fall between the samples, so a piece is what is connected across corners too, and crumbs are
     # forgiven.
     labels, count = ndimage.label(occupancy, np.ones((3, 3, 3), int))

@@ -61,7 +61,7 @@ class SensorModel:
     farthest_m: float = 6.0
 
 
-PERFECT = SensorModel(0, 0, 0, 0, 0, math.pi / 2, 0, 0, 0, 0, 0, math.inf)
+PERFECT = SensorModel(0.0, 0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
 """Adds nothing and drops nothing."""
 
 

@@ -19,7 +19,9 @@ Coordinate: TypeAlias = Float32[np.ndarray, " n"]
 """One coordinate of n points. Fields take x, y and z apart: contiguous columns are several times faster than rows."""
 Distance: TypeAlias = Float32[np.ndarray, " n"]
 Bounds: TypeAlias = Float64[np.ndarray, "axis=3 low_high=2"]
-Triple: TypeAlias = tuple[float, float, float]
+Number: TypeAlias = float | int
+"""What annotations mean by float, spelt out: beartype does not take an int for a float."""
+Triple: TypeAlias = tuple[Number, Number, Number]
 Rotation: TypeAlias = tuple[Triple, Triple, Triple]
 
 IDENTITY: Rotation = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -39,11 +41,11 @@ class Field(ABC):
     def bounds(self) -> Bounds:
         """A box that holds the body, not always the tightest."""
 
-    def shift(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Field:
+    def shift(self, x: Number = 0.0, y: Number = 0.0, z: Number = 0.0) -> Field:
         """The body moved by a vector."""
         return place(self, translation=(x, y, z))
 
-    def turn(self, axis: Literal["x", "y", "z"], angle_rad: float) -> Field:
+    def turn(self, axis: Literal["x", "y", "z"], angle_rad: Number) -> Field:
         """The body turned about a coordinate axis through the origin, right-handed."""
         return place(self, rotation=axis_rotation(axis, angle_rad))
 
@@ -63,7 +65,7 @@ class Placed(Field):
 
     child: Field
     rotation: Rotation
-    scale: float
+    scale: Number
     translation: Triple
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
@@ -141,7 +143,7 @@ class SmoothUnion(Field):
     """
 
     fields: tuple[Field, ...]
-    width: float
+    width: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         width = np.float32(self.width)
@@ -197,7 +199,7 @@ class Rounded(Field):
     """A field grown by a radius, which rounds its convex edges."""
 
     child: Field
-    radius: float
+    radius: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         return self.child.at(x, y, z) - np.float32(self.radius)
@@ -212,7 +214,7 @@ class Rounded(Field):
 class AboveGround(Field):
     """The half space z ≥ height: intersect with it to cut a flat foot."""
 
-    height: float = 0.0
+    height: Number = 0.0
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         return np.float32(self.height) - z
@@ -223,7 +225,7 @@ class AboveGround(Field):
 
 
 def place(
-    field: Field, rotation: Rotation = IDENTITY, scale: float = 1.0, translation: Triple = (0.0, 0.0, 0.0)
+    field: Field, rotation: Rotation = IDENTITY, scale: Number = 1.0, translation: Triple = (0.0, 0.0, 0.0)
 ) -> Field:
     """The body under p ↦ scale · rotation · p + translation; successive placements fold into one."""
     if not isinstance(field, Placed):
@@ -234,7 +236,7 @@ def place(
     return Placed(field.child, _rotation(outer @ inner), scale * field.scale, _triple(moved))
 
 
-def axis_rotation(axis: Literal["x", "y", "z"], angle_rad: float) -> Rotation:
+def axis_rotation(axis: Literal["x", "y", "z"], angle_rad: Number) -> Rotation:
     """Right-handed rotation about a coordinate axis."""
     c, s = math.cos(angle_rad), math.sin(angle_rad)
     if axis == "x":

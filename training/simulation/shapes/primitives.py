@@ -12,9 +12,9 @@ from typing import Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float32
 
-from training.simulation.shapes.field import Bounds, Coordinate, Distance, Field, Triple
+from training.simulation.shapes.field import Bounds, Coordinate, Distance, Field, Number, Triple
 
-Polygon: TypeAlias = tuple[tuple[float, float], ...]
+Polygon: TypeAlias = tuple[tuple[Number, Number], ...]
 """Corners of a simple closed polygon, in either turning direction; the last joins the first."""
 
 ZERO = np.float32(0)
@@ -46,7 +46,7 @@ class Box(Field):
 class Sphere(Field):
     """A ball about the origin. Exact."""
 
-    radius: float
+    radius: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         distance: Distance = np.sqrt(x * x + y * y + z * z) - np.float32(self.radius)
@@ -61,8 +61,8 @@ class Sphere(Field):
 class Cylinder(Field):
     """An upright cylinder about the origin. Exact."""
 
-    radius: float
-    half_height: float
+    radius: Number
+    half_height: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         return _extrude(np.sqrt(x * x + y * y) - np.float32(self.radius), z, self.half_height)
@@ -76,8 +76,8 @@ class Cylinder(Field):
 class Torus(Field):
     """A torus about the z axis, centred on the origin. Exact."""
 
-    major_radius: float
-    minor_radius: float
+    major_radius: Number
+    minor_radius: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         q = np.sqrt(x * x + y * y) - np.float32(self.major_radius)
@@ -96,7 +96,7 @@ class Capsule(Field):
 
     start: Triple
     end: Triple
-    radius: float
+    radius: Number
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
         a = np.array(self.start, np.float32)
@@ -153,8 +153,8 @@ class Superquadric(Field):
     """
 
     semi_axes: Triple
-    exponent_xy: float
-    exponent_z: float
+    exponent_xy: Number
+    exponent_z: Number
 
     def __post_init__(self) -> None:
         if min(self.exponent_xy, self.exponent_z) < 1.0:
@@ -192,7 +192,7 @@ class Extrusion(Field):
     """
 
     polygon: Polygon
-    half_length: float
+    half_length: Number
     axis: Literal["y", "z"] = "y"
 
     def at(self, x: Coordinate, y: Coordinate, z: Coordinate) -> Distance:
@@ -225,7 +225,7 @@ class Revolution(Field):
         return box
 
 
-def CappedCone(bottom_radius: float, top_radius: float, half_height: float) -> Field:  # noqa: N802 (a body like the rest)
+def CappedCone(bottom_radius: Number, top_radius: Number, half_height: Number) -> Field:  # noqa: N802 (a body like the rest)
     """An upright frustum about the origin; a top radius of 0 makes a cone. Exact."""
     h = half_height
     return Revolution(((0.0, -h), (bottom_radius, -h), (top_radius, h), (0.0, h)))
@@ -237,10 +237,11 @@ def polygon_distance(
     """Signed distance in the plane to a simple polygon; `skip_axis` leaves out edges along u = 0."""
     corners = np.array(polygon, np.float32)
     ends = np.roll(corners, -1, axis=0)
-    real = (corners != ends).any(axis=1)
-    corners, ends = corners[real, :, None], ends[real, :, None]
+    kept = (corners != ends).any(axis=1)
+    if skip_axis:  # no surface, and rays towards +u start at or beyond it
+        kept &= (corners[:, 0] != 0) | (ends[:, 0] != 0)
+    corners, ends = corners[kept, :, None], ends[kept, :, None]
     (u0, v0), (du, dv) = corners.swapaxes(0, 1), (ends - corners).swapaxes(0, 1)
-    on_axis = ((u0 == 0) & (du == 0))[:, 0] if skip_axis else np.zeros(len(du), bool)
     inverse_square = np.float32(1) / (du * du + dv * dv)
     result = np.empty(u.shape, np.float32)
     for start in range(0, len(u), POLYGON_BLOCK):  # all edges of a block of points at once
@@ -257,12 +258,12 @@ def polygon_distance(
         pu *= pu
         pv *= pv
         pu += pv
-        distance = np.sqrt(pu[~on_axis].min(axis=0) if on_axis.any() else pu.min(axis=0))
+        distance = np.sqrt(pu.min(axis=0))
         result[part] = np.where(inside, -distance, distance)
     return result
 
 
-def _extrude(flat: Distance, along: Coordinate, half_length: float) -> Distance:
+def _extrude(flat: Distance, along: Coordinate, half_length: Number) -> Distance:
     beyond = np.abs(along) - np.float32(half_length)
     inside = np.minimum(np.maximum(flat, beyond), ZERO)
     flat, beyond = np.maximum(flat, ZERO), np.maximum(beyond, ZERO)
@@ -270,6 +271,6 @@ def _extrude(flat: Distance, along: Coordinate, half_length: float) -> Distance:
     return distance
 
 
-def _symmetric(x: float, y: float, z: float) -> Bounds:
+def _symmetric(x: Number, y: Number, z: Number) -> Bounds:
     half = np.array([x, y, z], np.float64)
     return np.stack([-half, half], axis=1)

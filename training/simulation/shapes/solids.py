@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from training.simulation.shapes.field import Field, Rounded, SmoothUnion, Stretched, Union
+from training.simulation.shapes.field import Field, Number, Rounded, SmoothUnion, Stretched, Union
 from training.simulation.shapes.primitives import (
     Box,
     CappedCone,
@@ -26,7 +26,7 @@ SIMULABLE = 0.14
 """Least thickness of a member as a part of the body grid's edge: three cells of 1/24, and a little to spare."""
 
 
-def grid_edge(*extents: float) -> float:
+def grid_edge(*extents: Number) -> float:
     """L for a body of width, depth (both horizontal) and height, in that order."""
     width, depth, height = extents
     return max(width / FILL_HORIZONTAL, depth / FILL_HORIZONTAL, height / FILL_HEIGHT)
@@ -42,7 +42,7 @@ def extents(rng: Rng, thin: bool, slimmest: float = 0.2, tallest: float = 3.0) -
             return width, depth, height
 
 
-def member(rng: Rng, thin: bool, edge: float, thickest: float = 0.26) -> float:
+def member(rng: Rng, thin: bool, edge: Number, thickest: float = 0.26) -> float:
     """Thickness of a limb, leg or plate of a body whose grid edge is `edge`."""
     return edge * (rng.uniform(0.03, SIMULABLE) if thin else rng.uniform(SIMULABLE, thickest))
 

@@ -6,13 +6,15 @@ import math
 
 import numpy as np
 
-from training.simulation.shapes.field import Field, Union
+from training.simulation.shapes.field import Field, Number, Union
 from training.simulation.shapes.primitives import Box, Cylinder, Extrusion, Polygon
 from training.simulation.shapes.shape import Shape, stand
 from training.simulation.shapes.solids import SIMULABLE, Rng, grid_edge, member
 
+Interval = tuple[Number, Number]
 
-def block(x: tuple[float, float], y: tuple[float, float], z: tuple[float, float]) -> Field:
+
+def block(x: Interval, y: Interval, z: Interval) -> Field:
     """The box from the first to the second value on each axis."""
     centre = [(low + high) / 2 for low, high in (x, y, z)]
     half = [(high - low) / 2 for low, high in (x, y, z)]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from training.simulation.shapes.field import Field, Rounded, SmoothUnion, Union
+from training.simulation.shapes.field import Field, Number, Rounded, SmoothUnion, Union
 from training.simulation.shapes.primitives import Box, Capsule, Cylinder, Ellipsoid, Revolution, Torus
 from training.simulation.shapes.shape import Shape, stand
 from training.simulation.shapes.solids import SIMULABLE, Rng, grid_edge
@@ -15,7 +15,7 @@ PROFILE_POINTS = 9
 """Corners of a curved profile; each costs one edge distance at every point."""
 
 
-def wall(rng: Rng, thin: bool, edge: float) -> float:
+def wall(rng: Rng, thin: bool, edge: Number) -> float:
     """Wall of a hollow vessel: 2 to 4 % of the grid edge, or enough cells to simulate."""
     return edge * (rng.uniform(0.02, 0.04) if thin else rng.uniform(SIMULABLE, 0.17))
 
@@ -45,12 +45,12 @@ def _mug_body(rng: Rng, thin: bool, height: float) -> tuple[Revolution, float]:
 
 def mug(rng: Rng, thin: bool) -> Shape:
     """Hollow, with a handle."""
-    height = rng.uniform(0.75, 1.4)
+    height = rng.uniform(0.75 if thin else 1.0, 1.4)
     body, thickness = _mug_body(rng, thin, height)
     grip = rng.uniform(0.05, 0.08) if thin else thickness * rng.uniform(0.5, 0.6)
-    rise = min(rng.uniform(0.24, 0.34) * height, 0.4)
+    rise = min(rng.uniform(0.24, 0.34) * height, 0.4, 0.46 * height - grip)
     reach = rng.uniform(0.5, 0.55)
-    loop = Torus(max(rise, 1.3 * grip), grip).turn("x", math.pi / 2).shift(x=reach, z=rng.uniform(0.48, 0.56) * height)
+    loop = Torus(rise, grip).turn("x", math.pi / 2).shift(x=reach, z=rng.uniform(0.48, 0.56) * height)
     # Only what lies outside the vessel's outer surface: a handle has no business in the coffee.
     handle = loop - Cylinder(0.47, height)
     return stand("mug", Union((body, handle)))
