@@ -81,7 +81,7 @@ def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
         optimizer.step()
         schedule.step()
         done = step + 1
-        run.progress(done, config.steps, first, started, {name: float(value) for name, value in losses.items()})
+        run.progress(done, config.steps, first, started, {name: value.item() for name, value in losses.items()})
         if done % config.validate_every == 0 or done == config.steps:
             run.log(done, validate(network, validation, config.validation_samples))
             run.checkpoint(done, network, optimizer, schedule, config)

@@ -63,7 +63,7 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig) ->
         optimizer.step()
         schedule.step()
         done = step + 1
-        run.progress(done, config.steps, first, started, {"bce": float(loss)})
+        run.progress(done, config.steps, first, started, {"bce": loss.item()})
         if done % config.validate_every == 0 or done == config.steps:
             run.log(done, validate(network, validation, config.validation_samples))
             run.checkpoint(done, network, optimizer, schedule, config)

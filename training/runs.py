@@ -92,7 +92,7 @@ class Run:
         """Raises: RunError: The loss is NaN or infinite; the last good checkpoint stays."""
         if not torch.isfinite(loss):
             raise RunError(
-                f"the loss is {float(loss)} at step {step}; the last checkpoint is kept: {self.checkpoint_path}"
+                f"the loss is {loss.item()} at step {step}; the last checkpoint is kept: {self.checkpoint_path}"
             )
 
     def log(self, step: int, figures: dict[str, float]) -> None:
