@@ -18,7 +18,7 @@ PYTHON := $(shell for python in python3 python3.13 python3.12 python3.11 python;
 	"$$python" -c '$(PYTHON_USABLE)' >/dev/null 2>&1 && { echo "$$python"; break; }; done)
 endif
 
-# torch from PyPI brings CUDA along (gigabytes); TORCH_INDEX=https://download.pytorch.org/whl/cpu takes the CPU build.
+# torch may bring CUDA along (gigabytes); TORCH_INDEX=URL names a package index with the CPU build.
 TORCH_INDEX ?=
 PIP_FLAGS := --disable-pip-version-check --no-input
 PYTEST_FLAGS ?=
