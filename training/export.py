@@ -21,7 +21,7 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
-from training.networks.deformation import DeformationNetwork, warp
+from training.networks.deformation import DeformationNetwork, at_voxels
 from training.networks.reconstruction import ReconstructionNetwork
 
 OPSET = 20
@@ -44,16 +44,15 @@ class ReconstructionGraph(nn.Module):
 
 
 class DeformationGraph(nn.Module):
-    """What is served: the field at 64³ and the occupancy it gives."""
+    """What is served: the displacement at every voxel; the service looks the body up through it."""
 
     def __init__(self, network: DeformationNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor) -> Tensor:
         field, _, _ = self.network(rest, condition, noise)
-        fine = nn.functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
-        return warp(rest, field), fine
+        return at_voxels(field)
 
 
 @dataclass(frozen=True)
@@ -70,7 +69,7 @@ RECONSTRUCTION_TENSORS = Tensors({"view": (1, 2, 64, 64, 64)}, {"probability": (
 def deformation_tensors(latent: int) -> Tensors:
     return Tensors(
         {"rest": (1, 1, 64, 64, 64), "condition": ("loads", 9), "noise": ("loads", latent)},
-        {"probability": ("loads", 64, 64, 64), "displacement": ("loads", 3, 64, 64, 64)},
+        {"displacement": ("loads", 3, 64, 64, 64)},
     )
 
 

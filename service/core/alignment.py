@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.errors import EmptyObject
 from service.core.grids import Grid, invert_rigid
+from service.core.lookup import trilinear
 
 HORIZONTAL_FILL = 0.70
 """Share of the body grid's edge that the body may fill in x and y: the rest is room to deform into."""
 
 VERTICAL_FILL = 0.74
 """The same for its height; the body stands on the floor of the grid, so all the room is above it."""
-
-
-Lookup: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]
 
 
 def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_floor: bool = True) -> Grid:
@@ -69,40 +65,15 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
 
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
     """Trilinear lookup of one grid at the voxel centres of another; zero outside the source."""
-    target_from_source = invert_rigid(target.camera_from_grid) @ source.camera_from_grid
-    source_from_target = invert_rigid(target_from_source)
-    scale = target.pitch_m / source.pitch_m
-    steps = np.arange(GRID_SIZE) + 0.5
-    columns = (source_from_target[:3, :3, None] * steps * scale).astype(np.float32)
+    source_from_target = invert_rigid(source.camera_from_grid) @ target.camera_from_grid
+    steps = (np.arange(GRID_SIZE) + 0.5) * (target.pitch_m / source.pitch_m)
+    columns = (source_from_target[:3, :3, None] * steps).astype(np.float32)
     origin = (source_from_target[:3, 3] / source.pitch_m - 0.5).astype(np.float32)
-    position = [
+    x, y, z = (
         (columns[axis, 0] + origin[axis])[:, None, None] + columns[axis, 1][:, None] + columns[axis, 2]
         for axis in range(3)
-    ]
-    # One voxel of zeros around the source stands for everything outside.
-    padded = np.pad(probability, 1)
-    size = GRID_SIZE + 2
-    last = np.nextafter(np.float32(size - 1), np.float32(0))
-    position = [np.clip(p + np.float32(1), 0, last) for p in position]
-    low = [p.astype(np.int32) for p in position]
-    # Back to float32 first: float32 minus int32 would be float64, and twice the memory to move.
-    fraction = [p - i.astype(np.float32) for p, i in zip(position, low, strict=True)]
-    base = (low[0] * size + low[1]) * size + low[2]
-    flat = padded.ravel()
-
-    def lerp(near: Lookup, far: Lookup, axis: int) -> Lookup:
-        between: Lookup = near + fraction[axis] * (far - near)
-        return between
-
-    def along_z(offset: int) -> Lookup:
-        near: Lookup = flat[base + offset]
-        far: Lookup = flat[base + (offset + 1)]
-        return lerp(near, far, 2)
-
-    def along_y(offset: int) -> Lookup:
-        return lerp(along_z(offset), along_z(offset + size), 1)
-
-    return lerp(along_y(0), along_y(size * size), 0)
+    )
+    return trilinear(probability, x, y, z)
 
 
 def _occupied_centres(occupancy: Occupancy, grid: Grid) -> Float32[np.ndarray, "n 3"]:

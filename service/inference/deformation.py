@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import onnxruntime
@@ -11,7 +12,10 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
+from service.core.lookup import warp
 from service.core.manifest import Manifest
+
+Displacements: TypeAlias = Float32[np.ndarray, "n axis=3 x=64 y=64 z=64"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class Deformation:
     """
 
     probability: Float32[np.ndarray, "n x=64 y=64 z=64"]
-    displacement: Float32[np.ndarray, "n axis=3 x=64 y=64 z=64"]
+    displacement: Displacements
 
 
 class DeformationModel:
@@ -47,14 +51,12 @@ class DeformationModel:
         body = rest.astype(np.float32)[None, None]
         stacked = np.stack(conditions)
         if samples == 0:
-            noise = np.zeros((len(stacked), self._latent), np.float32)
-            return Deformation(*self._run(body, stacked, noise))
+            displacement = self._run(body, stacked, np.zeros((len(stacked), self._latent), np.float32))
+            return Deformation(_warp_all(rest, displacement), displacement)
         draws = np.random.default_rng(0).standard_normal((samples, self._latent)).astype(np.float32)
-        answers = [self._run(body, stacked, np.broadcast_to(draw, (len(stacked), self._latent))) for draw in draws]
-        probability, displacement = (
-            np.asarray(np.mean(parts, axis=0), np.float32) for parts in zip(*answers, strict=True)
-        )
-        return Deformation(probability, displacement)
+        answers = [self._run(body, stacked, np.repeat(draw[None], len(stacked), axis=0)) for draw in draws]
+        probability = np.mean([_warp_all(rest, displacement) for displacement in answers], axis=0, dtype=np.float32)
+        return Deformation(probability, np.mean(answers, axis=0, dtype=np.float32))
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.
@@ -70,8 +72,11 @@ class DeformationModel:
     def _run(
         self, body: Float32[np.ndarray, "1 1 x y z"], conditions: Float32[np.ndarray, "n 9"],
         noise: Float32[np.ndarray, "n latent"],
-    ) -> tuple[Float32[np.ndarray, "n x y z"], Float32[np.ndarray, "n 3 x y z"]]:  # fmt: skip
-        probability, displacement = self._session.run(
-            ["probability", "displacement"], {"rest": body, "condition": conditions, "noise": noise}
-        )
-        return probability, displacement
+    ) -> Displacements:  # fmt: skip
+        (displacement,) = self._session.run(["displacement"], {"rest": body, "condition": conditions, "noise": noise})
+        result: Displacements = displacement
+        return result
+
+
+def _warp_all(rest: Occupancy, displacement: Displacements) -> Float32[np.ndarray, "n x=64 y=64 z=64"]:
+    return np.stack([warp(rest, field) for field in displacement])

@@ -1,0 +1,43 @@
+import numpy as np
+import pytest
+
+from service.core.lookup import trilinear, warp
+
+PLACES = np.random.default_rng(1).uniform(0.0, 63.0, (3, 64, 64, 64)).astype(np.float32)
+
+
+def test_a_trilinear_field_is_looked_up_exactly_but_for_the_weights_of_opencv() -> None:
+    x, y, z = np.indices((64, 64, 64)).astype(np.float32)
+    field = 0.5 * x - 0.25 * y + 0.125 * z + 0.001 * x * y
+    expected = 0.5 * PLACES[0] - 0.25 * PLACES[1] + 0.125 * PLACES[2] + 0.001 * PLACES[0] * PLACES[1]
+    # y and z are rounded to 1/32 voxel: at most 1/64 of the slope, here (0.25 + 0.063) / 64 + 0.125 / 64.
+    np.testing.assert_allclose(trilinear(field, *PLACES), expected, atol=0.0075)
+
+
+def test_at_voxel_centres_nothing_changes() -> None:
+    field = np.random.default_rng(0).random((64, 64, 64), np.float32)
+    np.testing.assert_allclose(trilinear(field, *np.indices((64, 64, 64)).astype(np.float32)), field, atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("place", "value"), [(-0.5, 0.5), (-1.0, 0.0), (-40.0, 0.0), (63.5, 0.5), (64.0, 0.0), (99.0, 0.0)]
+)
+def test_the_field_falls_to_zero_over_one_voxel_outside(axis: int, place: float, value: float) -> None:
+    places = np.full((3, 64, 64, 64), 20.0, np.float32)
+    places[axis] = place
+    np.testing.assert_allclose(trilinear(np.ones((64, 64, 64), np.float32), *places), value, atol=1e-6)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_constant_displacement_moves_the_body_by_as_many_voxels(axis: int) -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[20:30, 25:40, 10:35] = True
+    displacement = np.zeros((3, 64, 64, 64), np.float32)
+    displacement[axis] = 7 / 64
+    np.testing.assert_array_equal(warp(rest, displacement) > 0.5, np.roll(rest, 7, axis=axis))
+
+
+def test_no_displacement_returns_the_body() -> None:
+    rest = np.random.default_rng(2).random((64, 64, 64)) < 0.4
+    np.testing.assert_array_equal(warp(rest, np.zeros((3, 64, 64, 64), np.float32)), rest.astype(np.float32))
