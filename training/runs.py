@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from torch import Tensor, nn
@@ -18,6 +18,7 @@ class RunError(Exception):
     """A run cannot go on; the message says what to do."""
 
 
+@runtime_checkable
 class Stateful(Protocol):
     """What a checkpoint keeps beside the weights."""
 
@@ -31,7 +32,6 @@ class Run:
     Args:
         root: Folder of this run; made if need be.
         print_every: Seconds between lines of progress.
-        checkpoint_every: Seconds between checkpoints that are not asked for by a step.
     """
 
     def __init__(self, root: Path, print_every: float = 10.0) -> None:
@@ -57,6 +57,9 @@ class Run:
         if not self.checkpoint_path.exists():
             return 0
         state = torch.load(self.checkpoint_path, weights_only=True)
+        # The data set first: a network's configuration may hold figures of its data, and so differ with it.
+        if state["dataset"]["digest"] != dataset["digest"]:
+            raise RunError(f"{self.checkpoint_path} was trained on another data set; choose another --run")
         wanted = dataclasses.asdict(config)
         different = [key for key in wanted if state["config"].get(key) != _plain(wanted[key])]
         if different:
@@ -64,8 +67,6 @@ class Run:
                 f"{self.checkpoint_path} was trained with another {', '.join(different)}; "
                 "choose another --run or the same configuration"
             )
-        if state["dataset"]["digest"] != dataset["digest"]:
-            raise RunError(f"{self.checkpoint_path} was trained on another data set; choose another --run")
         network.load_state_dict(state["network"])
         optimizer.load_state_dict(state["optimizer"])
         schedule.load_state_dict(state["schedule"])

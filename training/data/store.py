@@ -92,7 +92,7 @@ class Store:
         """Raises: StoreError: There is none, or it is of another store version."""
         path = self.root / "manifest.json"
         if not path.exists():
-            raise StoreError(f"{self.root} has no manifest.json; finish it with `physnet-train simulate --resume`")
+            raise StoreError(f"{self.root} has no manifest.json; finish it with `physnet-train simulate`")
         manifest: dict[str, Any] = json.loads(path.read_text())
         if manifest["store_version"] != STORE_VERSION:
             raise StoreError(

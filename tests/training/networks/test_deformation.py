@@ -1,0 +1,184 @@
+import numpy as np
+import pytest
+import torch
+
+from tests.training import tiny
+from training.networks.blocks import cell_centres
+from training.networks.deformation import (
+    CLAMP_HEIGHT,
+    DeformationNetwork,
+    condition_planes,
+    sample_field,
+    warp,
+)
+
+
+def body() -> torch.Tensor:
+    return torch.from_numpy(tiny.box(3)).float()[None, None]
+
+
+# --- the load as planes ---
+
+PUSH = torch.tensor([[0.5625, 0.3125, 0.8125, 0.6, 0.0, -0.8, -2.0, 0.3, 0.1]])
+"""Its contact is the centre of cell (4, 2, 6) of an 8³ lattice."""
+
+
+def test_planes_at_the_contact() -> None:
+    """r = 0: weight 1, decay 1, no offset, and the kelvinlet is 3/2 of the force."""
+    at = condition_planes(PUSH, 8)[0, :, 4, 2, 6]
+    torch.testing.assert_close(at, torch.tensor([1.0, 1.0, 0.6, 0.0, -0.8, 0.0, 0.0, 0.0, 0.9, 0.0, -1.2]))
+
+
+def test_planes_one_cell_beside_the_contact() -> None:
+    """r = (0.125, 0, 0), R = 0.1: hand-computed from the formulas of the docstring."""
+    r, R = 0.125, 0.1
+    decay = R / np.hypot(r, R)
+    at = condition_planes(PUSH, 8)[0, :, 5, 2, 6].numpy()
+    assert at[0] == pytest.approx(np.exp(-(r**2) / (2 * R**2)), rel=1e-5)
+    assert at[1] == pytest.approx(decay, rel=1e-5)
+    np.testing.assert_allclose(at[5:8], [0.125, 0.0, 0.0], atol=1e-6)
+    # R [f (1/ε + R²/2ε³) + r (r·f)/ε³] with ε = √(r² + R²)
+    epsilon = np.hypot(r, R)
+    force, offset = np.array([0.6, 0.0, -0.8]), np.array([r, 0.0, 0.0])
+    expected = R * (force * (1 / epsilon + R**2 / (2 * epsilon**3)) + offset * (offset @ force) / epsilon**3)
+    np.testing.assert_allclose(at[8:11], expected, rtol=1e-5, atol=1e-6)
+
+
+def test_planes_know_nothing_of_the_strength() -> None:
+    stronger = PUSH.clone()
+    stronger[:, 6] = -1.0
+    assert torch.equal(condition_planes(PUSH, 4), condition_planes(stronger, 4))
+
+
+# --- looking fields up ---
+
+
+def test_a_linear_field_is_looked_up_exactly_between_its_nodes() -> None:
+    centres = cell_centres(32, torch.zeros(1))
+    slopes = torch.tensor([[1.0, 0.0, 0.0], [0.0, -2.0, 0.5], [0.3, 0.2, 0.1]])
+    field = torch.einsum("ca,axyz->cxyz", slopes, centres)[None] + 0.25
+    points = 0.05 + 0.9 * torch.rand(1, 200, 3, generator=torch.Generator().manual_seed(0))
+    expected = torch.einsum("ca,bna->bcn", slopes, points) + 0.25
+    torch.testing.assert_close(sample_field(field, points), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_a_voxel_centre_gives_the_voxel() -> None:
+    field = torch.zeros(1, 1, 64, 64, 64)
+    field[0, 0, 3, 40, 17] = 1.0
+    point = (torch.tensor([[[3.0, 40.0, 17.0]]]) + 0.5) / 64
+    assert float(sample_field(field, point)) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_outside_the_cube_the_nearest_value_holds() -> None:
+    field = torch.zeros(1, 1, 8, 8, 8)
+    field[..., 0] = 1.0  # what stands on the floor
+    assert float(sample_field(field, torch.tensor([[[0.5, 0.5, -0.2]]]))) == pytest.approx(1.0)
+
+
+# --- warping ---
+
+
+def test_no_displacement_gives_the_body_back() -> None:
+    torch.testing.assert_close(warp(body(), torch.zeros(1, 3, 32, 32, 32)), body()[:, 0], atol=2e-5, rtol=0)
+
+
+@pytest.mark.parametrize("shift", [(5, 0, 0), (0, -3, 0), (0, 0, 4), (2, 3, 6)])
+def test_a_constant_displacement_moves_the_body_by_that_many_voxels(shift: tuple[int, int, int]) -> None:
+    field = (torch.tensor(shift) / 64.0)[None, :, None, None, None].expand(1, 3, 32, 32, 32).contiguous()
+    moved = warp(body(), field)[0]
+    expected = torch.roll(body()[0, 0], shift, dims=(0, 1, 2))
+    torch.testing.assert_close(moved, expected, atol=1e-4, rtol=0)
+
+
+def test_one_body_serves_all_loads() -> None:
+    field = 0.05 * torch.rand(3, 3, 32, 32, 32, generator=torch.Generator().manual_seed(0))
+    together = warp(body(), field)
+    for i in range(3):
+        torch.testing.assert_close(together[i], warp(body(), field[i : i + 1])[0])
+
+
+# --- the network ---
+
+
+def test_field_and_latent_have_their_shapes() -> None:
+    field, mean, log_variance = tiny.deformation_network()(body(), tiny.conditions(2), torch.zeros(2, 3))
+    assert field.shape == (2, 3, 32, 32, 32)
+    assert mean.shape[1] == log_variance.shape[1] == 3
+
+
+def test_the_field_vanishes_towards_the_clamp() -> None:
+    """tanh(z/h) times a field of the head: the lowest nodes move by at most that share of the peak."""
+    network = tiny.deformation_network()
+    torch.nn.init.zeros_(network.generator.head.weight)
+    torch.nn.init.ones_(network.generator.head.bias)
+    with torch.no_grad():
+        field = network(body(), tiny.conditions(1), torch.zeros(1, 3))[0][0]
+    heights = (torch.arange(32) + 0.5) / 32
+    top = field[0, 0, 0, -1]
+    torch.testing.assert_close(field[0, 5, 5] / top, torch.tanh(heights / CLAMP_HEIGHT), atol=1e-5, rtol=1e-5)
+    assert field[:, :, :, 0].abs().max() < 0.25 * top
+
+
+def held_gain() -> DeformationNetwork:
+    """A network that does not look at the load number but for the scale of its answer."""
+    network = tiny.deformation_network()
+    network.generator.embed[0].weight.data[:, 6] = 0.0
+    return network
+
+
+def answer(network: DeformationNetwork, log_load: float) -> torch.Tensor:
+    with torch.no_grad():
+        field: torch.Tensor = network(body(), tiny.conditions(1, log_load), torch.zeros(1, 3))[0]
+    return field
+
+
+def test_displacement_is_linear_in_the_load_number_where_the_gain_is_held() -> None:
+    network = held_gain()
+    gentle, tenfold = answer(network, -4.0), answer(network, -3.0)
+    assert gentle.abs().max() > 0
+    torch.testing.assert_close(tenfold, 10.0 * gentle, rtol=1e-4, atol=1e-9)
+
+
+def test_the_scale_saturates_at_one_edge_of_the_grid() -> None:
+    """10^min(log10 Λ + gain, 0): with a gain of 0 the scale is Λ up to 1, and 1 beyond."""
+    network = held_gain()
+    for parameter in network.generator.gain[-1].parameters():
+        torch.nn.init.zeros_(parameter)
+    whole = answer(network, 0.0)
+    torch.testing.assert_close(answer(network, -1.0), 0.1 * whole, rtol=1e-4, atol=1e-9)
+    torch.testing.assert_close(answer(network, 5.0), whole)
+
+
+def test_loads_of_a_batch_do_not_know_of_each_other() -> None:
+    network = tiny.deformation_network()
+    condition, noise = tiny.conditions(3), torch.randn(3, 3, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        together = network(body(), condition, noise)[0]
+        alone = torch.cat([network(body(), condition[i : i + 1], noise[i : i + 1])[0] for i in range(3)])
+    torch.testing.assert_close(together, alone, atol=1e-6, rtol=1e-4)
+
+
+def test_loads_are_divided_evenly_among_the_bodies() -> None:
+    network = tiny.deformation_network()
+    bodies = torch.stack([torch.from_numpy(tiny.box(i)).float()[None] for i in (0, 5)])
+    condition, noise = tiny.conditions(4), torch.zeros(4, 3)
+    with torch.no_grad():
+        together = network(bodies, condition, noise)[0]
+        each = [network(bodies[b : b + 1], condition[2 * b : 2 * b + 2], noise[:2])[0] for b in (0, 1)]
+    torch.testing.assert_close(together, torch.cat(each), atol=1e-6, rtol=1e-4)
+
+
+def test_noise_moves_the_latent() -> None:
+    network = tiny.deformation_network()
+    with torch.no_grad():
+        calm = network(body(), tiny.conditions(1), torch.zeros(1, 3))[0]
+        shaken = network(body(), tiny.conditions(1), torch.full((1, 3), 3.0))[0]
+    assert (calm - shaken).abs().max() > 1e-6
+
+
+def test_every_weight_is_used() -> None:
+    network = DeformationNetwork(tiny.DEFORMATION)
+    field, mean, log_variance = network(torch.cat([body(), body()]), tiny.conditions(2), torch.ones(2, 3))
+    torch.autograd.backward((field**2).mean() + (mean**2 + log_variance**2).mean())
+    unused = [name for name, weight in network.named_parameters() if weight.grad is None]
+    assert not unused

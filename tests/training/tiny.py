@@ -1,0 +1,134 @@
+"""Networks of a few channels and data sets of a few boxes: everything real, in a second on one core."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from service.core.grids import pack_bits
+from training.data.everyday import coarsen
+from training.data.store import Store
+from training.fit_deformation import FitDeformationConfig
+from training.fit_reconstruction import FitReconstructionConfig
+from training.metrics import iou
+from training.networks.deformation import DeformationConfig, DeformationNetwork
+from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+
+# Tests share the machine with whatever else runs on it.
+torch.set_num_threads(1)
+
+DEFORMATION = DeformationConfig(
+    encoder_channels=(4, 4, 4), generator_channels=(4, 4, 4), generator_blocks=(1, 1, 1), latent=3, condition=8
+)
+RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4), blocks=(0, 1, 0), head=8)
+FIT_DEFORMATION = FitDeformationConfig(
+    network=DEFORMATION, bodies=2, loads=1, steps=6, warm_up=2, points=64, validate_every=3, validation_samples=2
+)
+FIT_RECONSTRUCTION = FitReconstructionConfig(
+    network=RECONSTRUCTION, batch=2, steps=6, warm_up=2, validate_every=3, validation_samples=2
+)
+
+GROUPS = (0, 1, 2, 3, 4, 5)
+"""Group 0 validates, 1 and 2 test, the rest train (`training.data.batches.split_of`)."""
+
+CENTRES = (np.indices((64, 64, 64), dtype=np.float32) + 0.5) / 64
+
+
+def box(group: int) -> np.ndarray:
+    """A block standing on the floor, another one for each group."""
+    half = np.array([0.20 + 0.02 * group, 0.12 + 0.01 * group])
+    x, y, z = CENTRES
+    return (np.abs(x - 0.5) < half[0]) & (np.abs(y - 0.5) < half[1]) & (z < 0.3 + 0.05 * group)
+
+
+def sheared(rest: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The body sheared over its clamp by u(y) = shift·z, and the field, NaN outside the deformed body."""
+    backward = shift.astype(np.float32)[:, None, None, None] * CENTRES[2]
+    source = np.floor((CENTRES - backward) * 64).astype(int)
+    inside = ((source >= 0) & (source < 64)).all(axis=0)
+    x, y, z = np.where(inside, source, 0)
+    deformed = inside & rest[x, y, z]
+    return deformed, np.where(deformed, backward, np.nan).astype(np.float32)
+
+
+def deformation_group(group: int) -> dict[str, np.ndarray]:
+    """One block, pushed sideways on its top at two strengths."""
+    rest = box(group)
+    height = 0.3 + 0.05 * group
+    rows = []
+    for step, log_load in enumerate((-2.5, -2.2)):
+        shift = np.array([40.0 * 10.0**log_load, 0.0, 0.0])
+        deformed, backward = sheared(rest, shift)
+        displacement, coverage = coarsen(backward)
+        rows.append(
+            {
+                "condition": np.array([0.5, 0.5, height, 1.0, 0.0, 0.0, log_load, 0.3, 0.1], np.float32),
+                "deformed": pack_bits(deformed),
+                "displacement": displacement,
+                "coverage": coverage,
+                "peak": np.float32(shift[0] * height),
+                "identity_iou": np.float32(iou(rest, deformed)),
+                "law": np.array("linear"),
+                "sample": np.array([0, step], np.float32),
+            }
+        )
+    columns = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+    return {"rest": pack_bits(rest), "family": np.array("box"), **columns}
+
+
+def view_group(group: int) -> dict[str, np.ndarray]:
+    """One block seen from -x: its front face is observed, what lies before it is free."""
+    truth = box(group)
+    first = np.argmax(truth.any(axis=(1, 2)))
+    observed, free = np.zeros_like(truth), np.zeros_like(truth)
+    observed[first] = truth[first]
+    free[:first] = True
+    one = {"observed": pack_bits(observed), "free": pack_bits(free), "truth": pack_bits(truth)}
+    return {
+        "family": np.array("box"),
+        **{key: np.stack([bits, bits]) for key, bits in one.items()},
+        "sample": np.array([[0, 0.1], [1, 0.1]], np.float32),
+    }
+
+
+def write_deformations(root: Path) -> Path:
+    store = Store(root)
+    for group in GROUPS:
+        store.write_group(group, deformation_group(group))
+    store.write_manifest({"set": "boxes", "groups": len(GROUPS)})
+    return root
+
+
+def write_views(root: Path) -> Path:
+    store = Store(root)
+    for group in GROUPS:
+        store.write_group(group, view_group(group))
+    store.write_manifest({"set": "box views", "groups": len(GROUPS)})
+    return root
+
+
+def deformation_network(seed: int = 0) -> DeformationNetwork:
+    """Random weights, with running statistics of a few passes, ready to answer."""
+    torch.manual_seed(seed)
+    network = DeformationNetwork(DEFORMATION)
+    with torch.no_grad():
+        for _ in range(3):
+            network(torch.rand(2, 1, 64, 64, 64).round(), conditions(2), torch.randn(2, DEFORMATION.latent))
+    return network.eval()
+
+
+def reconstruction_network(seed: int = 0) -> ReconstructionNetwork:
+    torch.manual_seed(seed)
+    network = ReconstructionNetwork(RECONSTRUCTION)
+    with torch.no_grad():
+        for _ in range(3):
+            network(torch.rand(2, 2, 64, 64, 64).round())
+    return network.eval()
+
+
+def conditions(count: int, log_load: float = -2.5) -> torch.Tensor:
+    """Pushes along x on different places, all else equal."""
+    rows = [[0.3 + 0.4 * i / max(count - 1, 1), 0.5, 0.4, 1.0, 0.0, 0.0, log_load, 0.3, 0.1] for i in range(count)]
+    return torch.tensor(rows)
