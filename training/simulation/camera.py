@@ -17,6 +17,7 @@ from service.core.arrays import DepthImage, Mask, Points, Transform
 from service.core.camera import Intrinsics
 from service.core.grids import invert_rigid
 from training.simulation.shapes import Bounds, Shape
+from training.simulation.shapes.field import Number
 from training.simulation.trace import trace
 
 FARTHEST_M = 6.0
@@ -43,7 +44,7 @@ def render(
     intrinsics: Intrinsics,
     plane: bool = True,
     clutter: Sequence[Shape] = (),
-    farthest_m: float = FARTHEST_M,
+    farthest_m: Number = FARTHEST_M,
 ) -> Rendering:
     """Depth image of a body on its support.
 
@@ -72,7 +73,7 @@ def render(
     return Rendering(depth, mask & np.isfinite(depth))
 
 
-def look_at(eye_m: Sequence[float], target_m: Sequence[float], roll_rad: float = 0.0) -> Transform:
+def look_at(eye_m: Sequence[Number], target_m: Sequence[Number], roll_rad: Number = 0.0) -> Transform:
     """Pose of a camera at `eye_m` that looks at `target_m` with its x axis level, then rolled about its view.
 
     Raises:

@@ -218,19 +218,22 @@ def _merged(
 
 
 def _sample_surface(triangles: Triangles, spacing: float) -> tuple[Float64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
-    """Points no more than `spacing` apart on every triangle, and the triangle of each."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    longest = np.max([np.linalg.norm(end - start, axis=1) for start, end in ((a, b), (b, c), (c, a))], axis=0)
-    divisions = np.maximum(np.ceil(longest / spacing), 1).astype(np.int64)
+    """Points no more than `spacing` apart on every triangle, and the triangle of each.
+
+    Rows run along the shortest edge, so that slivers get as few points as their area asks for.
+    """
+    lengths = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+    shortest = lengths.argmin(axis=1)
+    every = np.arange(len(triangles))
+    a, b, c = (triangles[every, (shortest + turn) % 3] for turn in range(3))
+    across = np.maximum(np.ceil(lengths[every, shortest] / spacing), 1).astype(np.int64)
+    along = np.maximum(np.ceil(lengths.max(axis=1) / spacing), 1).astype(np.int64)
     points, owners = [], []
-    for count in np.unique(divisions):
-        chosen = np.flatnonzero(divisions == count)
-        i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
-        keep = i + j <= count
-        u, v = i[keep] / count, j[keep] / count
-        part = (
-            a[chosen, None] + u[:, None] * (b - a)[chosen, None] + v[:, None] * (c - a)[chosen, None]
-        )  # (triangles, samples, xyz)
+    for count_u, count_v in np.unique(np.stack([across, along], axis=1), axis=0):
+        chosen = np.flatnonzero((across == count_u) & (along == count_v))
+        v, u = np.meshgrid(np.linspace(0, 1, count_v + 1), np.linspace(0, 1, count_u + 1), indexing="ij")
+        u, v = (u * (1 - v)).reshape(-1, 1), v.reshape(-1, 1)
+        part = a[chosen, None] + u * (b - a)[chosen, None] + v * (c - a)[chosen, None]  # (triangles, samples, xyz)
         points.append(part.reshape(-1, 3))
         owners.append(np.repeat(chosen, len(u)))
     return np.concatenate(points), np.concatenate(owners)
@@ -258,7 +261,7 @@ def _dot(a: Float64[np.ndarray, "n 3"], b: Float64[np.ndarray, "n 3"]) -> Float6
     return np.asarray(np.einsum("ij,ij->i", a, b), np.float64)
 
 
-def _inside(triangles: Triangles, axes: list[Float64[np.ndarray, " n"]]) -> Bool[np.ndarray, "x y z"]:
+def _inside(triangles: Triangles, axes: list[Float64[np.ndarray, " _"]]) -> Bool[np.ndarray, "x y z"]:
     """Nodes whose winding number is not zero, so that overlapping parts of one file count as their union.
 
     Each face adds its orientation to the nodes below it, for the columns of nodes that pass through it. The columns
