@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import nn
 
 from service.core.grids import pack_bits
 from training.data.everyday import coarsen
@@ -15,6 +16,7 @@ from training.fit_reconstruction import FitReconstructionConfig
 from training.metrics import iou
 from training.networks.deformation import DeformationConfig, DeformationNetwork
 from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.runs import Run
 
 # Tests share the machine with whatever else runs on it.
 torch.set_num_threads(1)
@@ -132,3 +134,24 @@ def conditions(count: int, log_load: float = -2.5) -> torch.Tensor:
     """Pushes along x on different places, all else equal."""
     rows = [[0.3 + 0.4 * i / max(count - 1, 1), 0.5, 0.4, 1.0, 0.0, 0.0, log_load, 0.3, 0.1] for i in range(count)]
     return torch.tensor(rows)
+
+
+DATASET = {
+    "store_version": 1,
+    "configuration": {"set": "boxes", "seed": 0},
+    "code": "0000000",
+    "groups": len(GROUPS),
+    "samples": 2 * len(GROUPS),
+    "dropped": {},
+    "digest": "sha256:0",
+}
+
+
+def save_checkpoint(network: nn.Module, config: object, root: Path) -> Path:
+    """A checkpoint as a run writes it after step 7."""
+    run = Run(root)
+    optimizer = torch.optim.AdamW(network.parameters())
+    schedule = torch.optim.lr_scheduler.ConstantLR(optimizer)
+    run.resume(network, optimizer, schedule, config, DATASET)
+    run.checkpoint(7, network, optimizer, schedule, config)
+    return run.checkpoint_path

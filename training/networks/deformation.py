@@ -182,7 +182,7 @@ class DeformationNetwork(nn.Module):
 def sample_field(
     field: Float[Tensor, "batch c x y z"], points: Float[Tensor, "batch n 3"]
 ) -> Float[Tensor, "batch c n"]:
-    """Trilinear lookup of a field over the unit cube at points in it (x, y, z in [0, 1]); zeros outside... of the cube.
+    """Trilinear lookup of a field over the unit cube at points (x, y, z in [0, 1]); outside, the nearest value holds.
 
     torch's grid_sample indexes the last axis first, hence the flip.
     """

@@ -6,21 +6,11 @@ from tests.training import tiny
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork
 from training.networks.reconstruction import ReconstructionNetwork
-from training.runs import Run
-
-
-def saved(network: torch.nn.Module, config: object, root: Path) -> Path:
-    run = Run(root)
-    optimizer = torch.optim.AdamW(network.parameters())
-    schedule = torch.optim.lr_scheduler.ConstantLR(optimizer)
-    run.resume(network, optimizer, schedule, config, {"digest": "sha256:0", "samples": 1})
-    run.checkpoint(7, network, optimizer, schedule, config)
-    return run.checkpoint_path
 
 
 def test_the_network_of_a_checkpoint_answers_as_it_did(tmp_path: Path) -> None:
     network = tiny.deformation_network()
-    loaded, state = load_network(saved(network, tiny.FIT_DEFORMATION, tmp_path))
+    loaded, state = load_network(tiny.save_checkpoint(network, tiny.FIT_DEFORMATION, tmp_path))
     assert isinstance(loaded, DeformationNetwork)
     assert not loaded.training
     assert loaded.config == tiny.DEFORMATION
@@ -34,7 +24,7 @@ def test_the_network_of_a_checkpoint_answers_as_it_did(tmp_path: Path) -> None:
 
 def test_the_kind_is_recognised(tmp_path: Path) -> None:
     network = tiny.reconstruction_network()
-    loaded, _ = load_network(saved(network, tiny.FIT_RECONSTRUCTION, tmp_path))
+    loaded, _ = load_network(tiny.save_checkpoint(network, tiny.FIT_RECONSTRUCTION, tmp_path))
     assert isinstance(loaded, ReconstructionNetwork)
     assert loaded.config == tiny.RECONSTRUCTION
     view = torch.zeros(1, 2, 64, 64, 64)
