@@ -38,7 +38,7 @@ demo: $(BASE)/.installed-demo ## Start the service, post real depth frames, prin
 	$(call say,demo: one push on each sample frame)
 	"$(BASE_PYTHON)" examples/demo.py --out build/demo
 
-serve: $(BASE)/.installed-demo ## Run the service on 127.0.0.1:8000 (HTTP) and :8001 (gRPC); SERVE_FLAGS="--http-port 9000"
+serve: $(BASE)/.installed-demo ## Run the service on 127.0.0.1:8000; SERVE_FLAGS="--http-port 9000"
 	"$(BASE_PYTHON)" -m service serve $(SERVE_FLAGS)
 
 train: $(FULL)/.installed ## Run physnet-train; TRAIN_FLAGS="simulate --help"

@@ -74,7 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     serve.add_argument("--host", help="address to listen on (PHYSNET_HOST)")
     serve.add_argument("--http-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_HTTP_PORT)")
-    serve.add_argument("--grpc-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_GRPC_PORT)")
+    serve.add_argument("--grpc-port", type=int, metavar="PORT", help="kept for gRPC, not served yet")
     serve.add_argument("--log-level", choices=["debug", "info", "warning", "error"], help="(PHYSNET_LOG_LEVEL)")
     serve.set_defaults(run=_serve)
 

@@ -10,6 +10,8 @@ from typing import Literal
 from pydantic import Field, SecretStr
 from pydantic_settings import BaseSettings, SettingsConfigDict
 
+from service.core.limits import DEFAULT_LIMITS
+
 _PACKAGE = Path(__file__).resolve().parent
 
 
@@ -56,7 +58,7 @@ class Settings(BaseSettings):
     """Port of the HTTP API; 0 picks a free one, which the ready line names."""
 
     grpc_port: int = Field(8001, ge=0, le=65535)
-    """Port of the gRPC API; 0 picks a free one."""
+    """Port kept for the gRPC API, which is not served yet: the ready line says `grpc=off`."""
 
     models: Path = Field(default_factory=default_models_directory)
     """Directory of the artefacts, `<name>/<version>/manifest.json`."""
@@ -64,7 +66,7 @@ class Settings(BaseSettings):
     max_body_bytes: int = Field(32 * 2**20, ge=1024)
     """Largest request body. A 1080p float32 frame is 8 MiB, in base64 11 MiB."""
 
-    max_image_pixels: int = Field(4096 * 3072, ge=1)
+    max_image_pixels: int = Field(DEFAULT_LIMITS.max_pixels, ge=1)
     """Largest depth image or mask, checked from its header before it is decoded."""
 
     max_loads: int = Field(64, ge=1)

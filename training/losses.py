@@ -19,7 +19,7 @@ def modified_bce(output: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"
     Args:
         output: Occupancy probability, clamped to [0.01, 0.99].
         target: 0 or 1.
-        alpha: Weight of missed voxels against false ones; the paper's 0.85 fills generously and is read off at a
+        alpha: Weight of missed voxels against false ones; the authors' 0.85 fills generously and is read off at a
             threshold of 0.8, 0.5 is the plain cross-entropy up to a factor of two.
     """
     o = output.clamp(OUTPUT_CLAMP, 1.0 - OUTPUT_CLAMP)

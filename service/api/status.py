@@ -47,7 +47,7 @@ STATUS: dict[type[PhysNetError], Status] = {
     InvalidShape: Status(422, "INVALID_ARGUMENT", "The shape sent for a frame is not 64³ voxels in a rigid pose."),
     EmptyObject: Status(422, "INVALID_ARGUMENT", "No pixel or voxel is left of the object: check mask and roi."),
     NoSupportPlane: Status(
-        422, "INVALID_ARGUMENT", "No plane is visible under the object: send `up`, or a mask of the object and `up`."
+        422, "INVALID_ARGUMENT", "No plane is visible under the object: send `up`, a mask of the object, or both."
     ),
     ContactOffBody: Status(
         422, "INVALID_ARGUMENT", "A contact lies too far from the body; `actual` is the distance in metres."

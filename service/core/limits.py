@@ -12,12 +12,12 @@ class FrameLimits:
     """What the service accepts.
 
     Attributes:
-        max_pixels: Of one image; the default is four megapixels, twice what the largest depth sensors deliver.
+        max_pixels: Of one image; the default is twelve megapixels, more than any depth image aligned to its colour has.
         max_bytes: Of one encoded image; the default holds `max_pixels` of 32-bit floats and a header.
     """
 
-    max_pixels: int = 2**22
-    max_bytes: int = 2**24 + 2**12
+    max_pixels: int = 4096 * 3072
+    max_bytes: int = 4 * 4096 * 3072 + 2**12
 
 
 DEFAULT_LIMITS = FrameLimits()

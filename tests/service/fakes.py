@@ -52,7 +52,7 @@ def fake_result(request: DeformRequest) -> DeformResult:
         reconstruction=rest,
         reconstruction_probability=probability,
         loads=tuple(loads),
-        flags=frozenset({"touches_image_border"}),
+        flags=frozenset({"object_cut_by_border"}),
         model_name="fake",
         model_version="9.9.9",
         timing_ms={"decode": 1.0, "deform": 2.0, "total": 3.5},

@@ -60,7 +60,7 @@ def test_predict_asks_what_a_robot_would_post(predictor, arguments, tmp_path, ca
     assert request.material.name == "silicone"
     report = json.loads(capsys.readouterr().out)
     assert report["max_displacement_m"] == 0.003
-    assert report["flags"] == ["contact_snapped", "touches_image_border"]
+    assert report["flags"] == ["contact_snapped", "object_cut_by_border"]
     with np.load(out) as archive:
         assert archive["displacement_m"].shape == (1, 3, 64, 64, 64)
 

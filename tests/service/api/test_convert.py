@@ -150,7 +150,7 @@ def test_the_reply_fits_its_schema_and_keeps_every_voxel():
     reply = DeformReply.model_validate_json(data, strict=False)
     document = json.loads(data)
     assert reply.request_id == "r-7"
-    assert reply.flags == ["touches_image_border"]
+    assert reply.flags == ["object_cut_by_border"]
     assert document["grid"]["shape"] == [64, 64, 64]
     assert document["grid"]["camera_from_grid"][2] == [0.0, 0.0, 1.0, 0.5]
 
