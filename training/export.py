@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import tempfile
+import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -115,7 +116,8 @@ def export_model(
 
 
 def condition_range_of(conditions: Float[np.ndarray, "n 9"]) -> dict[str, tuple[float, float]]:
-    """Smallest and largest value of each condition field, rounded outwards to four digits.
+    """Smallest and largest value of each condition field, widened by a hundredth of the range between them: a finite
+    sample never reaches the bounds it was drawn from.
 
     Mirror images and quarter turns are part of the training, so the horizontal fields span the whole square.
     """
@@ -126,7 +128,10 @@ def condition_range_of(conditions: Float[np.ndarray, "n 9"]) -> dict[str, tuple[
             low, high = 0.0, 1.0
         elif field.startswith("direction"):
             low, high = -1.0, 1.0
-        ranges[field] = (np.floor(low * 1e4) / 1e4, np.ceil(high * 1e4) / 1e4)
+        else:
+            margin = 0.01 * (high - low)
+            low, high = low - margin, high + margin
+        ranges[field] = (round(low, 4), round(high, 4))
     return ranges
 
 
@@ -163,11 +168,26 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
         name: {axis: n for axis, n in enumerate(shape) if isinstance(n, str)}
         for name, shape in {**tensors.inputs, **tensors.outputs}.items()
     }
-    torch.onnx.export(
-        graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
-        opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
-    )  # fmt: skip
-    onnx.checker.check_model(onnx.load(str(path)), full_check=True)
+    with warnings.catch_warnings():
+        # The exporter that traces is the older of torch's two. It stays as long as its graphs are checked against
+        # torch below: it writes one self-contained file and needs no further library.
+        warnings.filterwarnings("ignore", category=DeprecationWarning)
+        torch.onnx.export(
+            graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
+            opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
+        )  # fmt: skip
+    model = onnx.load(str(path))
+    for value in (*model.graph.input, *model.graph.output):
+        # The exporter names what it cannot infer after the operator that made it; state the shape that is promised.
+        for dimension, size in zip(
+            value.type.tensor_type.shape.dim, (tensors.inputs | tensors.outputs)[value.name], strict=True
+        ):
+            if isinstance(size, str):
+                dimension.dim_param = size
+            else:
+                dimension.dim_value = size
+    onnx.checker.check_model(model, full_check=True)
+    onnx.save(model, str(path))
 
 
 def _difference(graph: nn.Module, tensors: Tensors, path: Path, seed: int) -> float:
