@@ -85,7 +85,9 @@ class Manifest:
                 **document,
                 "inputs": tuple(TensorSpec(spec["name"], tuple(spec["shape"])) for spec in document["inputs"]),
                 "outputs": tuple(TensorSpec(spec["name"], tuple(spec["shape"])) for spec in document["outputs"]),
-                "condition_range": {name: (low, high) for name, (low, high) in document["condition_range"].items()},
+                "condition_range": {
+                    name: (float(low), float(high)) for name, (low, high) in document["condition_range"].items()
+                },
             }
         )
         _expect("kind", " or ".join(KINDS), manifest.kind, manifest.kind in KINDS)

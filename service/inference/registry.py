@@ -53,6 +53,11 @@ def load_models(directory: Path, threads: int) -> Models:
     by_kind: dict[str, tuple[Path, Manifest]] = {}
     for _, folder in newest.values():
         manifest = read_manifest(folder)
+        if (manifest.name, manifest.version) != (folder.parent.name, folder.name):
+            raise ModelMismatch(
+                f"{folder} holds {manifest.name} {manifest.version}; a model lies in <name>/<version>/.",
+                expected=f"{folder.parent.name} {folder.name}", actual=f"{manifest.name} {manifest.version}",
+            )  # fmt: skip
         if manifest.kind in by_kind:
             raise ModelMismatch(f"{directory} holds two {manifest.kind} models; leave one or name another folder.")
         by_kind[manifest.kind] = (folder, manifest)

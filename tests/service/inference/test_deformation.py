@@ -1,0 +1,93 @@
+import numpy as np
+import pytest
+
+from service.core.condition import CONDITION_FIELDS
+from service.core.lookup import warp
+from service.inference.registry import Models
+
+BODY = np.zeros((64, 64, 64), bool)
+BODY[24:40, 20:44, 0:44] = True
+"""A block on the floor, pushed on its upper end."""
+
+
+def push(y: float = 0.5, direction: tuple[float, float, float] = (1.0, 0.0, 0.0), log_load: float = -2.5) -> np.ndarray:
+    return np.array([24 / 64, y, 0.6, *direction, log_load, 0.3, 0.12], np.float32)
+
+
+def test_a_batch_of_loads_is_each_load_on_its_own(models: Models) -> None:
+    pushes = [push(0.4), push(0.5, (0.0, 0.0, -1.0), -3.0), push(0.6, (0.6, 0.8, 0.0), -2.8)]
+    together = models.deformation(BODY, pushes)
+    assert together.probability.shape == (3, 64, 64, 64)
+    assert together.displacement.shape == (3, 3, 64, 64, 64)
+    for i, one in enumerate(pushes):
+        alone = models.deformation(BODY, [one])
+        np.testing.assert_allclose(together.displacement[i], alone.displacement[0], atol=1e-5)
+        # The lookup rounds its weights to 1/32 voxel.
+        np.testing.assert_allclose(together.probability[i], alone.probability[0], atol=0.07)
+
+
+def test_probability_is_the_body_looked_up_through_the_displacement(models: Models) -> None:
+    answer = models.deformation(BODY, [push()])
+    np.testing.assert_array_equal(answer.probability[0], warp(BODY, answer.displacement[0]))
+
+
+def test_the_body_moves_the_way_it_is_pushed(models: Models) -> None:
+    for direction in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        answer = models.deformation(BODY, [push(direction=direction)])
+        moved = answer.displacement[0][:, answer.probability[0] > 0.5].mean(axis=1)
+        assert moved @ direction > 0.5 * np.linalg.norm(moved) > 0.0
+
+
+def test_the_body_stays_where_it_is_clamped(models: Models) -> None:
+    answer = models.deformation(BODY, [push()])
+    lengths = np.linalg.norm(answer.displacement[0], axis=0)
+    top = lengths[:, :, 36:44][BODY[:, :, 36:44]].mean()
+    assert lengths[:, :, 0][BODY[:, :, 0]].mean() < 0.25 * top
+
+
+def test_a_harder_push_moves_it_farther(models: Models) -> None:
+    lengths = [
+        np.linalg.norm(models.deformation(BODY, [push(log_load=load)]).displacement[0][:, BODY], axis=0).mean()
+        for load in (-4.0, -3.0, -2.3)
+    ]
+    assert lengths[0] < lengths[1] < lengths[2]
+    assert lengths[0] < 0.2 * lengths[1]
+
+
+def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
+    first, second = (models.deformation(BODY, [push(), push(0.6)], samples=3) for _ in range(2))
+    np.testing.assert_array_equal(first.probability, second.probability)
+    np.testing.assert_array_equal(first.displacement, second.displacement)
+
+
+def test_samples_are_averaged(models: Models) -> None:
+    session = models.deformation._session
+    (latent,) = [tensor.shape[1] for tensor in session.get_inputs() if tensor.name == "noise"]
+    draws = np.random.default_rng(0).standard_normal((2, latent)).astype(np.float32)
+    inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None]}
+    fields = [session.run(["displacement"], {**inputs, "noise": draw[None]})[0][0] for draw in draws]
+    answer = models.deformation(BODY, [push()], samples=2)
+    np.testing.assert_allclose(answer.displacement[0], np.mean(fields, axis=0), atol=1e-6)
+    np.testing.assert_allclose(answer.probability[0], np.mean([warp(BODY, f) for f in fields], axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize("field", [name for name in CONDITION_FIELDS if name != "log10_load_number"])
+def test_a_condition_beyond_the_training_set_is_known(models: Models, field: str) -> None:
+    ranges = models.deformation.manifest.condition_range
+    inside = np.array([np.mean(ranges[name]) for name in CONDITION_FIELDS], np.float32)
+    assert not models.deformation.outside_training_range(inside)
+    column = CONDITION_FIELDS.index(field)
+    for beyond in (ranges[field][0] - 0.01, ranges[field][1] + 0.01):
+        outside = inside.copy()
+        outside[column] = beyond
+        assert models.deformation.outside_training_range(outside)
+
+
+def test_a_gentle_push_is_within_the_training_set_and_a_violent_one_is_not(models: Models) -> None:
+    ranges = models.deformation.manifest.condition_range
+    condition = np.array([np.mean(ranges[name]) for name in CONDITION_FIELDS], np.float32)
+    column = CONDITION_FIELDS.index("log10_load_number")
+    condition[column] = ranges["log10_load_number"][0] - 3.0
+    assert not models.deformation.outside_training_range(condition)
+    condition[column] = ranges["log10_load_number"][1] + 0.01
+    assert models.deformation.outside_training_range(condition)
