@@ -78,16 +78,17 @@ class DistanceGrid(Field):
             place = (coordinate - np.float32(low)) * np.float32(1 / self.pitch)
             inside = np.clip(place, np.float32(0), np.float32(count - 1))
             beyond += (place - inside) ** 2
-            cell = np.minimum(inside.astype(np.int32), count - 2)
-            cells.append(cell)
-            fractions.append(inside - cell)
+            # The corner stays a float until the fraction is taken: float32 less int32 would be float64.
+            corner = np.minimum(np.floor(inside), np.float32(count - 2))
+            cells.append(corner.astype(np.int32))
+            fractions.append(inside - corner)
         _, ny, nz = self.values.shape
-        corner = (cells[0] * ny + cells[1]) * nz + cells[2]
+        first_node = (cells[0] * ny + cells[1]) * nz + cells[2]
         flat, (fx, fy, fz) = self.values.ravel(), fractions
         edges = []
         for offset in (0, nz, ny * nz, ny * nz + nz):
-            first = flat[corner + offset]
-            edges.append(first + fz * (flat[corner + (offset + 1)] - first))
+            first = flat[first_node + offset]
+            edges.append(first + fz * (flat[first_node + (offset + 1)] - first))
         near, far = (edges[i] + fy * (edges[i + 1] - edges[i]) for i in (0, 2))
         value = near + fx * (far - near)
         outside = np.sqrt(beyond) * np.float32(self.pitch)
