@@ -14,15 +14,14 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int
 from scipy import ndimage
 
-from training.simulation.elements import CORNERS, PAIRS_24
+from training.simulation.elements import CORNERS
+from training.simulation.sparsity import SparsityPattern
 
 Distance: TypeAlias = Callable[[Float32[np.ndarray, "n 3"]], Float32[np.ndarray, " n"]]
 """Signed distance to a surface, negative inside, for points in cube coordinates."""
 
 MIN_FILL = 0.01
 """Cells holding less material than this are left out: they add stiffness to nothing that a 64³ grid can show."""
-OCTANT_FLOOR = 1e-3
-"""Smallest quadrature weight of an octant in an active cell, so that its nodes never hang on a singular matrix."""
 SUBSAMPLES = 4
 """Sample points along each edge of an octant that the surface may cross."""
 CLAMP_REACH = 0.5
@@ -135,11 +134,6 @@ class Body:
         """Part of each active cell that holds material."""
         return np.asarray(self.octant_fill.mean(axis=0))
 
-    @cached_property
-    def quadrature_weights(self) -> Float64[np.ndarray, "8 m"]:
-        """Material volume behind each Gauss point, floored so that no node is free."""
-        return np.maximum(self.octant_fill, OCTANT_FLOOR) * (self.cell_edge**3 / 8.0)
-
     @property
     def volume(self) -> float:
         """Volume of the body in units of L³."""
@@ -153,11 +147,9 @@ class Body:
     @cached_property
     def pattern(self) -> SparsityPattern:
         """Where the element matrices go in the global one."""
-        return SparsityPattern.of(self)
+        return SparsityPattern.of(self.cell_nodes, self.clamped)
 
-    def locate(
-        self, points: Float64[np.ndarray, "n 3"]
-    ) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+    def locate(self, points: Float64[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
         """Active cell of each point (−1 where there is none) and its local coordinates in [0, 1]³."""
         scaled = points * self.cells
         index = np.clip(np.floor(scaled).astype(np.int64), 0, self.cells - 1)
@@ -209,66 +201,6 @@ class Body:
     def _near_surface(self) -> Bool[np.ndarray, " m"]:
         centres = (self.active + 0.5) * self.cell_edge
         return np.abs(self.distance(centres.astype(np.float32))) < 1.2 * self.cell_edge
-
-
-@dataclass(frozen=True, eq=False)
-class SparsityPattern:
-    """Upper triangle of the global matrix over the free degrees of freedom, in CSR form.
-
-    Attributes:
-        indptr: Row starts.
-        indices: Column of every stored entry, ascending in a row.
-        position: Entry of each of the 300 × m element entries; `len(indices)` for those of clamped nodes.
-    """
-
-    indptr: Int[np.ndarray, " rows"]
-    indices: Int[np.ndarray, " nonzeros"]
-    position: Int[np.ndarray, " entries"]
-
-    @classmethod
-    def of(cls, body: Body) -> SparsityPattern:
-        """Count the entries of a body's stiffness."""
-        # counted on blocks of 3×3 between nodes, a ninth of the entries; node and dof order agree
-        free_nodes = ~body.clamped
-        count = int(free_nodes.sum())
-        number = np.full(body.nodes, -1)
-        number[free_nodes] = np.arange(count)
-        node = number[body.cell_nodes.T]
-        a, b = np.triu_indices(8)
-        # nodes are numbered in the order of the grid, and so are the corners of a cell: a never exceeds b
-        low, high = node[a], node[b]
-        held = (low < 0) | (high < 0)
-        blocks, block_of = np.unique((low * count + high)[~held], return_inverse=True)
-        block_row, block_column = blocks // count, blocks % count
-        # in block row r the diagonal block comes first and has 3, 2, 1 entries, every other block 3 in each row
-        blocks_in_row = np.bincount(block_row, minlength=count)
-        first_block = np.cumsum(blocks_in_row) - blocks_in_row
-        lengths = 3 * blocks_in_row[:, None] - np.arange(3)
-        indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
-        rank = np.arange(len(blocks)) - first_block[block_row]
-        entry = np.empty((len(blocks), 3, 3), np.int64)
-        for i in range(3):
-            entry[:, i] = indptr[3 * block_row + i, None] + 3 * rank[:, None] + np.arange(3) - i
-        indices = np.empty(indptr[-1], np.int32)
-        upper = np.ones((len(blocks), 3, 3), bool)
-        upper[rank == 0] = np.triu(np.ones((3, 3), bool))
-        indices[entry[upper]] = np.broadcast_to(3 * block_column[:, None, None] + np.arange(3), upper.shape)[upper]
-        block = np.full(node[a].shape, -1)
-        block[~held] = block_of
-        block_number = np.full((8, 8), -1)
-        block_number[a, b] = np.arange(len(a))
-        position = np.empty((len(PAIRS_24[0]), node.shape[1]), np.int64)
-        for index, (row, column) in enumerate(zip(*PAIRS_24, strict=True)):
-            pair = block_number[row // 3, column // 3]
-            i, j = row % 3, column % 3
-            position[index] = entry[block[pair], i, j]
-            position[index][held[pair]] = len(indices)
-        return cls(indptr.astype(np.int32), indices, position.ravel())
-
-    def assemble(self, element: Float64[np.ndarray, "300 m"]) -> Float64[np.ndarray, " nonzeros"]:
-        """Values of the global matrix from the element matrices."""
-        count = len(self.indices)
-        return np.bincount(self.position, weights=element.ravel(), minlength=count + 1)[:count]
 
 
 def octant_fill(distance: Distance, cells: int) -> Float64[np.ndarray, "n2 n2 n2"]:

@@ -11,6 +11,7 @@ displacement along axis i; component 3·i + j of a deformation gradient is F_ij 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from jaxtyping import Float64, Int
@@ -22,6 +23,13 @@ CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for 
 
 PAIRS_24 = np.triu_indices(24)
 """Rows and columns of the 300 entries that a symmetric element matrix is stored as."""
+PAIRS_9 = np.triu_indices(9)
+"""Rows and columns of the 45 entries of the symmetric moduli ∂P/∂F."""
+
+EMPTY_OCTANT = 0.02
+"""Octants holding less material than this count as empty; their Gauss point lies far from what they hold."""
+VOID_STIFFNESS = 1e-3
+"""Young's modulus of the empty part of a cell, of that of the body: enough that no node hangs free."""
 
 GAUSS_POINTS: Float64[np.ndarray, "8 3"] = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
 """Local coordinates of the 2×2×2 Gauss points, one in each octant."""
@@ -53,141 +61,215 @@ class ElementState:
 
     Attributes:
         energy: Strain energy of each cell; infinite where a Gauss point is inverted.
-        forces: Its gradient, the internal nodal forces.
-        smallest_jacobian: Smallest determinant of the deformation gradient at any Gauss point.
+        forces: Its gradient by the nodal displacements.
+        internal_forces: Its gradient by the internal parameters.
+        smallest_jacobian: Smallest determinant of the deformation gradient at any Gauss point that holds material.
     """
 
     energy: Float64[np.ndarray, " cells"]
     forces: Float64[np.ndarray, "24 cells"]
+    internal_forces: Float64[np.ndarray, "internal cells"]
     smallest_jacobian: float
 
 
-class MeanDilatationHexahedron:
-    """Trilinear hexahedron whose volumetric energy is taken at the element's mean volume ratio.
+@dataclass(frozen=True)
+class ElementTangent:
+    """Second derivatives of the strain energy of all cells, with the internal parameters eliminated.
 
-    The isochoric-like part μ/2 (tr FᵀF − 3) − μ ln J is integrated at the 2×2×2 Gauss points, the λ part,
-    λ/2 ln² J̄, once an element with J̄ = Σ w J / Σ w: it cannot lock as ν → ½. Linearised at rest it is the B̄ element
-    with the selective integration of Hughes. Each Gauss point carries the material volume of its own octant, which is
-    what makes cells at a curved surface behave.
-
-    Source: Hughes (2000) section 4.5; Nagtegaal, Parks and Rice, CMAME 4 (1974); Bonet and Wood, Nonlinear Continuum
-    Mechanics (2008) section 8.6; finite cells: Parvizian, Düster and Rank, Comput. Mech. 41 (2007).
+    Attributes:
+        stiffness: Upper triangle of K_uu − K_uα K_αα⁻¹ K_αu.
+        recovery: K_αα⁻¹ K_αu: minus this times the displacements are the internal parameters that follow.
+        compliance: K_αα⁻¹.
     """
 
-    def __init__(self, cell_edge: float) -> None:
+    stiffness: Float64[np.ndarray, "300 cells"]
+    recovery: Float64[np.ndarray, "cells internal 24"]
+    compliance: Float64[np.ndarray, "cells internal internal"]
+
+
+class Element(Protocol):
+    """A law of the cell: strain energy of nodal displacements and of internal parameters, for Young's modulus 1."""
+
+    internal: int
+    """Internal parameters of a cell, over which the energy is minimised."""
+
+    def evaluate(
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "internal cells"]
+    ) -> ElementState:
+        """Energy and its gradient."""
+
+    def tangent(
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "internal cells"]
+    ) -> ElementTangent:
+        """Hessian of the energy; at rest this is the stiffness of linear elasticity."""
+
+
+class Hexahedron:
+    """What all elements share: the trilinear kinematics, the weights, and the near-nothing outside the body.
+
+    Args:
+        cell_edge: In units of L.
+        octant_fill: Part of each octant that holds material. Each Gauss point stands for the material of its own
+            octant, which is what makes cells at a curved surface behave.
+        poisson_ratio: ν in [0, 0.49].
+
+    Source: finite cells: Parvizian, Düster and Rank, Comput. Mech. 41 (2007).
+    """
+
+    def __init__(self, cell_edge: float, octant_fill: Float64[np.ndarray, "8 cells"], poisson_ratio: float) -> None:
+        self.mu, self.lam = material_law.lame(poisson_ratio)
+        volume = cell_edge**3
+        self.weights = np.where(octant_fill < EMPTY_OCTANT, 0.0, octant_fill) * (volume / 8.0)
+        self.cells = octant_fill.shape[1]
         gradients = shape_gradients(GAUSS_POINTS) / cell_edge
         operator = np.zeros((8, 9, 24))
         for i in range(3):
             for j in range(3):
                 operator[:, 3 * i + j, i::3] = gradients[:, :, j]
-        self._operator = operator  # (gauss, 9, 24): displacements to displacement gradient
-        self._operator_flat = operator.reshape(72, 24)
-        self._congruence = _congruence_table(operator)
-        self._identity_stiffness = np.einsum("gca,gcb->gab", operator, operator)[:, *PAIRS_24]
+        self.operator = operator  # (gauss, 9, 24): displacements to displacement gradient
+        self.operator_flat = operator.reshape(72, 24)
+        self.congruence = _congruence_table(operator)
+        # The empty part of a cell is filled with a linear material of almost no stiffness: its Gauss points may turn
+        # inside out without a cost, which an energy with ln J could not bear.
+        self.void = VOID_STIFFNESS * (1.0 - octant_fill.mean(axis=0))
+        full = np.full((8, 1), volume / 8.0)
+        laplace = np.einsum("gca,gcb->ab", operator, operator) * volume / 8.0
+        trace = operator[:, [0, 4, 8]].sum(axis=1)
+        self._void_matrix = laplace + trace.T @ (full * trace)
+        self._void_pairs = self._void_matrix[PAIRS_24][:, None]
+
+    def deformation_gradient(self, displacements: Float64[np.ndarray, "24 cells"]) -> Float64[np.ndarray, "8 9 cells"]:
+        """F at the Gauss points."""
+        gradient = (self.operator_flat @ displacements).reshape(8, 9, -1)
+        gradient[:, [0, 4, 8]] += 1.0
+        return np.asarray(gradient)
+
+    def material_jacobian(self, jacobian: Float64[np.ndarray, "8 cells"]) -> Float64[np.ndarray, "8 cells"]:
+        """Determinants where there is material, and 1 where there is none."""
+        return np.where(self.weights > 0.0, jacobian, 1.0)
+
+    def void_forces(self, displacements: Float64[np.ndarray, "24 cells"]) -> Float64[np.ndarray, "24 cells"]:
+        """Forces of the empty part; half their product with the displacements is its energy."""
+        return np.asarray((self._void_matrix @ displacements) * self.void)
+
+    def void_stiffness(self) -> Float64[np.ndarray, "300 cells"]:
+        """Constant stiffness of the empty part."""
+        return np.asarray(self._void_pairs * self.void)
+
+    def moduli(
+        self,
+        cofactor: Float64[np.ndarray, "8 9 cells"],
+        jacobian: Float64[np.ndarray, "8 cells"],
+        swap: Float64[np.ndarray, "8 cells"],
+        outer: Float64[np.ndarray, "8 cells"],
+    ) -> Float64[np.ndarray, "8 45 cells"]:
+        """Weighted ∂P/∂F = w μ 1⊗1 + swap F⁻ᵀ_il F⁻ᵀ_kj + outer F⁻ᵀ_ij F⁻ᵀ_kl, upper triangle.
+
+        Args:
+            cofactor: J F⁻ᵀ.
+            jacobian: J.
+            swap: Weighted coefficient of the second term.
+            outer: Weighted coefficient of the third.
+        """
+        inverse = cofactor / jacobian[:, None]
+        identity = self.mu * self.weights
+        result = np.empty((8, 45, cofactor.shape[2]))
+        for index, (row, column) in enumerate(zip(*PAIRS_9, strict=True)):
+            i, j, k, m = row // 3, row % 3, column // 3, column % 3
+            entry = swap * inverse[:, 3 * i + m]
+            entry *= inverse[:, 3 * k + j]
+            entry += outer * inverse[:, row] * inverse[:, column]
+            if row == column:
+                entry += identity
+            result[:, index] = entry
+        return result
+
+
+class MeanDilatationHexahedron(Hexahedron):
+    """Trilinear hexahedron whose volumetric energy is taken at the element's mean volume ratio.
+
+    μ/2 (tr FᵀF − 3) − μ ln J is integrated at the 2×2×2 Gauss points, the λ part, λ/2 ln² J̄, once an element with
+    J̄ = Σ w J / Σ w: it cannot lock as ν → ½. Linearised at rest it is Hughes' B̄ element with selective integration.
+    Cheap, but too stiff where a member in bending is few cells thick.
+
+    Source: Hughes (2000) section 4.5; Nagtegaal, Parks and Rice, CMAME 4 (1974); Bonet and Wood, Nonlinear Continuum
+    Mechanics (2008) section 8.6.
+    """
+
+    internal = 0
 
     def evaluate(
-        self,
-        displacements: Float64[np.ndarray, "24 cells"],
-        weights: Float64[np.ndarray, "8 cells"],
-        poisson_ratio: float,
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "0 cells"]
     ) -> ElementState:
-        """Strain energy and internal forces for Young's modulus 1."""
-        mu, lam = material_law.lame(poisson_ratio)
-        gradient = self._deformation_gradient(displacements)
+        """See `Element.evaluate`."""
+        gradient = self.deformation_gradient(displacements)
         cofactor, jacobian = material_law.cofactor(gradient)
+        jacobian = self.material_jacobian(jacobian)
         smallest = float(jacobian.min())
         if not smallest > 0.0:
-            energy = np.full(displacements.shape[1], np.inf)
-            return ElementState(energy, np.full_like(displacements, np.nan), smallest)
-        volume = weights.sum(axis=0)
-        mean_jacobian = (weights * jacobian).sum(axis=0) / volume
+            return inverted(displacements, parameters, smallest)
+        volume, mean_jacobian = self._mean(jacobian)
         log_mean = np.log(mean_jacobian)
         squared = np.einsum("gcm,gcm->gm", gradient, gradient)
-        energy = (weights * (0.5 * mu * (squared - 3.0) - mu * np.log(jacobian))).sum(axis=0)
-        energy += volume * 0.5 * lam * log_mean**2
-        pressure = lam * log_mean / mean_jacobian
+        void = self.void_forces(displacements)
+        energy = (self.weights * (0.5 * self.mu * (squared - 3.0) - self.mu * np.log(jacobian))).sum(axis=0)
+        energy += volume * 0.5 * self.lam * log_mean**2 + 0.5 * (displacements * void).sum(axis=0)
+        pressure = self.lam * log_mean / mean_jacobian
         # weighted first Piola-Kirchhoff stress: μ F + (p − μ/J) cof F
-        stress = gradient * (mu * weights)[:, None]
-        stress += cofactor * (weights * (pressure - mu / jacobian))[:, None]
-        forces = self._operator_flat.T @ stress.reshape(72, -1)
-        return ElementState(energy, forces, smallest)
+        stress = gradient * (self.mu * self.weights)[:, None]
+        stress += cofactor * (self.weights * (pressure - self.mu / jacobian))[:, None]
+        forces = self.operator_flat.T @ stress.reshape(72, -1) + void
+        return ElementState(energy, forces, np.zeros_like(parameters), smallest)
 
     def tangent(
-        self,
-        displacements: Float64[np.ndarray, "24 cells"],
-        weights: Float64[np.ndarray, "8 cells"],
-        poisson_ratio: float,
-    ) -> Float64[np.ndarray, "300 cells"]:
-        """Hessian of the strain energy of every cell, upper triangle; at rest this is the linear stiffness."""
-        mu, lam = material_law.lame(poisson_ratio)
-        gradient = self._deformation_gradient(displacements)
-        cofactor, jacobian = material_law.cofactor(gradient)
-        volume = weights.sum(axis=0)
-        mean_jacobian = (weights * jacobian).sum(axis=0) / volume
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "0 cells"]
+    ) -> ElementTangent:
+        """See `Element.tangent`."""
+        cofactor, jacobian = material_law.cofactor(self.deformation_gradient(displacements))
+        jacobian = self.material_jacobian(jacobian)
+        volume, mean_jacobian = self._mean(jacobian)
         log_mean = np.log(mean_jacobian)
-        pressure = lam * log_mean / mean_jacobian
-        # ∂P/∂F = μ 1⊗1 + (μ − pJ) F⁻ᵀ_il F⁻ᵀ_kj + pJ F⁻ᵀ_ij F⁻ᵀ_kl, the constant first term is in a table of its own
-        inverse_transposed = cofactor / jacobian[:, None]
-        swap = weights * (mu - pressure * jacobian)
-        outer = weights * (pressure * jacobian)
-        moduli = np.empty((8, 45, displacements.shape[1]))
-        for index, (row, column) in enumerate(zip(*np.triu_indices(9), strict=True)):
-            i, j, k, l = row // 3, row % 3, column // 3, column % 3
-            entry = swap * inverse_transposed[:, 3 * i + l]
-            entry *= inverse_transposed[:, 3 * k + j]
-            entry += outer * inverse_transposed[:, row] * inverse_transposed[:, column]
-            moduli[:, index] = entry
-        stiffness = self._congruence @ moduli.reshape(360, -1)
-        stiffness += self._identity_stiffness.T @ (mu * weights)
+        pressure = self.lam * log_mean / mean_jacobian
+        swap = self.weights * (self.mu - pressure * jacobian)
+        moduli = self.moduli(cofactor, jacobian, swap, self.weights * (pressure * jacobian))
+        stiffness = self.congruence @ moduli.reshape(360, -1) + self.void_stiffness()
         # the λ term couples all Gauss points of a cell through J̄: one outer product a cell
-        jacobian_gradient = self._operator_flat.T @ (cofactor * (weights / volume)[:, None]).reshape(72, -1)
-        coupling = volume * lam * (1.0 - log_mean) / mean_jacobian**2
-        scaled = jacobian_gradient * coupling
+        jacobian_gradient = self.operator_flat.T @ (cofactor * (self.weights / volume)[:, None]).reshape(72, -1)
+        scaled = jacobian_gradient * (volume * self.lam * (1.0 - log_mean) / mean_jacobian**2)
         start = 0
         for row in range(24):
             stop = start + 24 - row
             stiffness[start:stop] += scaled[row] * jacobian_gradient[row:]
             start = stop
-        return stiffness
+        cells = displacements.shape[1]
+        return ElementTangent(stiffness, np.zeros((cells, 0, 24)), np.zeros((cells, 0, 0)))
 
-    def stiffness(
-        self, weights: Float64[np.ndarray, "8 cells"], poisson_ratio: float
-    ) -> Float64[np.ndarray, "300 cells"]:
-        """Linear-elastic stiffness of every cell, upper triangle, for Young's modulus 1."""
-        rest = np.zeros((24, 1))
-        columns = []
-        mu, lam = material_law.lame(poisson_ratio)
-        # linear in the weights but for the mean dilatation, which is quadratic over their sum
-        for gauss in range(8):
-            unit = np.zeros((8, 1))
-            unit[gauss] = 1.0
-            columns.append(self.tangent(rest, unit, poisson_ratio)[:, 0])
-        local = np.stack(columns, axis=1)
-        divergence = self._operator[:, [0, 4, 8]].sum(axis=1)  # (8, 24)
-        local -= lam * (divergence[:, PAIRS_24[0]] * divergence[:, PAIRS_24[1]]).T
-        stiffness = local @ weights
-        mean = divergence.T @ weights
-        scaled = mean * (lam / weights.sum(axis=0))
-        start = 0
-        for row in range(24):
-            stop = start + 24 - row
-            stiffness[start:stop] += scaled[row] * mean[row:]
-            start = stop
-        return np.asarray(stiffness)
+    def _mean(
+        self, jacobian: Float64[np.ndarray, "8 cells"]
+    ) -> tuple[Float64[np.ndarray, " cells"], Float64[np.ndarray, " cells"]]:
+        # a cell without a filled octant keeps only its void stiffness
+        volume = np.maximum(self.weights.sum(axis=0), 1e-300)
+        mean = (self.weights * jacobian).sum(axis=0) / volume
+        return volume, np.where(mean > 0.0, mean, 1.0)
 
-    def _deformation_gradient(
-        self, displacements: Float64[np.ndarray, "24 cells"]
-    ) -> Float64[np.ndarray, "8 9 cells"]:
-        gradient = (self._operator_flat @ displacements).reshape(8, 9, -1)
-        gradient[:, [0, 4, 8]] += 1.0
-        return np.asarray(gradient)
+
+def inverted(
+    displacements: Float64[np.ndarray, "24 cells"],
+    parameters: Float64[np.ndarray, "internal cells"],
+    smallest_jacobian: float,
+) -> ElementState:
+    """The state of a body with a Gauss point turned inside out: infinite energy."""
+    energy = np.full(displacements.shape[1], np.inf)
+    return ElementState(
+        energy, np.full_like(displacements, np.nan), np.full_like(parameters, np.nan), smallest_jacobian
+    )
 
 
 def _congruence_table(operator: Float64[np.ndarray, "8 9 24"]) -> Float64[np.ndarray, "300 360"]:
     """Constant matrix taking the 8 × 45 symmetric moduli of a cell to its 300 stiffness entries, Σ Gᵀ A G."""
     rows, columns = PAIRS_24
     table = np.empty((8, 45, 300))
-    for index, (c, d) in enumerate(zip(*np.triu_indices(9), strict=True)):
+    for index, (c, d) in enumerate(zip(*PAIRS_9, strict=True)):
         entry = operator[:, c][:, rows] * operator[:, d][:, columns]
         if c != d:
             entry = entry + operator[:, d][:, rows] * operator[:, c][:, columns]

@@ -67,8 +67,7 @@ def nodal_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
         raise LoadError("no material lies under the load's patch: move the contact onto the surface")
     spread = shape_functions(local[good]) * weight[good, None]
     nodal = np.bincount(body.cell_nodes[cell[good]].ravel(), weights=spread.ravel(), minlength=body.nodes)
-    nodal /= nodal.sum()
-    return nodal[:, None] * (load.load_number * load.direction)
+    return np.asarray((nodal / nodal.sum())[:, None] * (load.load_number * load.direction))
 
 
 def self_weight(body: Body, weight_number: Vector3) -> Float64[np.ndarray, "nodes 3"]:

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 from jaxtyping import Float64
 
-from training.simulation.factor import Factor, NotPositiveDefinite
+from training.simulation.factor import NotPositiveDefinite
 from training.simulation.loads import Load, nodal_forces
-from training.simulation.solver import LinearSolver
+from training.simulation.solver import CondensedFactor, LinearSolver
 
 MAX_ITERATIONS = 40
 """Steps of a load step; almost all take under 15."""
@@ -36,6 +35,7 @@ class Solution:
 
     Attributes:
         displacement: Nodal displacements in units of L; of the last iterate where not converged.
+        parameters: Internal parameters of the cells that belong to it.
         fraction: Part of the full load that this step carries.
         load: The load of this step; None where forces were given instead of a load.
         converged: Whether `reason` is None.
@@ -48,6 +48,7 @@ class Solution:
     """
 
     displacement: Float64[np.ndarray, "nodes 3"]
+    parameters: Float64[np.ndarray, "internal cells"]
     fraction: float
     load: Load | None
     reason: str | None
@@ -100,9 +101,9 @@ def follow_forces(
 ) -> list[Solution]:
     """As `solve_neo_hookean`, for any dead nodal forces: several loads at once, or the body's own weight."""
     problem = _Problem(solver, forces)
-    linear = solver.solve_forces(forces[None])[0].reshape(-1)[solver.body.free_dof]
+    linear = problem.preconditioner.solve(problem.force)
     solutions: list[Solution] = []
-    free = np.zeros(len(solver.body.free_dof))
+    free = np.zeros_like(linear)
     before = np.zeros_like(free)
     reached = 0.0
     reached_before = 0.0
@@ -143,10 +144,12 @@ class _Problem:
     def __init__(self, solver: LinearSolver, force: Float64[np.ndarray, "nodes 3"]) -> None:
         self.solver = solver
         self.body = solver.body
-        self.weights = solver.body.quadrature_weights
-        self.full_force = force
-        self.force = force.reshape(-1)[self.body.free_dof]
-        self.factor: Factor = solver.factor
+        self.count = len(solver.body.free_dof)
+        self.cells = len(solver.body.active)
+        # the unknowns are the free displacements and, behind them, the internal parameters of the cells
+        self.force = np.zeros(self.count + solver.element.internal * self.cells)
+        self.force[: self.count] = force.reshape(-1)[self.body.free_dof]
+        self.preconditioner = CondensedFactor(solver.body, solver.factor, solver.tangent)
 
     def equilibrium(
         self, fraction: float, guesses: Sequence[Float64[np.ndarray, " dof"]], tolerance: float
@@ -195,48 +198,45 @@ class _Problem:
 
     def refactor(self, state: _State) -> None:
         """Factorise the tangent at a state, shifted towards the stiffness at rest until it is positive definite."""
-        tangent = self.tangent(state.free)
+        tangent = self.solver.element.tangent(*self.split(state.free))
+        values = self.solver.assemble(tangent.stiffness).data
         shift = 0.0
         for _ in range(_MAX_SHIFTS):
             try:
-                values = tangent.data + shift * self.solver.stiffness.data
-                self.solver.tangent_factor.refactor(values)
+                self.solver.tangent_factor.refactor(values + shift * self.solver.stiffness.data)
             except NotPositiveDefinite:
                 shift = 0.03 if shift == 0.0 else 3.0 * shift
                 continue
-            self.factor = self.solver.tangent_factor
+            self.preconditioner = CondensedFactor(self.body, self.solver.tangent_factor, tangent)
             return
-        self.factor = self.solver.factor
+        self.preconditioner = CondensedFactor(self.body, self.solver.factor, self.solver.tangent)
 
     def state(self, free: Float64[np.ndarray, " dof"], force: Float64[np.ndarray, " dof"]) -> _State:
         """Evaluate potential and residual."""
-        full = np.zeros(3 * self.body.nodes)
-        full[self.body.free_dof] = free
-        element = self.solver.element.evaluate(
-            self.body.gather(full.reshape(-1, 3)), self.weights, self.solver.poisson_ratio
-        )
+        element = self.solver.element.evaluate(*self.split(free))
         energy = float(element.energy.sum())
         if not np.isfinite(energy):
             return _State(free, np.inf, np.inf, np.full_like(free, np.inf), element.smallest_jacobian)
-        internal = self.body.scatter(element.forces).reshape(-1)[self.body.free_dof]
-        return _State(free, energy - float(force @ free), energy, internal - force, element.smallest_jacobian)
+        residual = np.empty_like(free)
+        residual[: self.count] = self.body.scatter(element.forces).reshape(-1)[self.body.free_dof]
+        residual[self.count :] = element.internal_forces.ravel()
+        return _State(free, energy - float(force @ free), energy, residual - force, element.smallest_jacobian)
 
-    def tangent(self, free: Float64[np.ndarray, " dof"]) -> sp.csr_array:
-        """Hessian of the potential, upper triangle."""
+    def split(
+        self, free: Float64[np.ndarray, " dof"]
+    ) -> tuple[Float64[np.ndarray, "24 cells"], Float64[np.ndarray, "internal cells"]]:
+        """Element displacements and internal parameters of an iterate."""
+        return self.body.gather(self.nodal(free)), free[self.count :].reshape(-1, self.cells)
+
+    def nodal(self, free: Float64[np.ndarray, " dof"]) -> Float64[np.ndarray, "nodes 3"]:
+        """Displacements of all nodes."""
         full = np.zeros(3 * self.body.nodes)
-        full[self.body.free_dof] = free
-        element = self.solver.element.tangent(
-            self.body.gather(full.reshape(-1, 3)), self.weights, self.solver.poisson_ratio
-        )
-        return self.solver.assemble(element)
+        full[self.body.free_dof] = free[: self.count]
+        return full.reshape(-1, 3)
 
-    def solution(
-        self, state: _State, fraction: float, iterations: int, residual: float, tolerance: float
-    ) -> Solution:
+    def solution(self, state: _State, fraction: float, iterations: int, residual: float, tolerance: float) -> Solution:
         """Judge a state and record it."""
-        displacement = np.zeros(3 * self.body.nodes)
-        displacement[self.body.free_dof] = state.free
-        nodal = displacement.reshape(-1, 3)
+        nodal = self.nodal(state.free)
         inner = np.unique(self.body.cell_nodes[self.body.fill >= 0.5])
         moved = self.body.node_positions[inner] + nodal[inner]
         reason = None
@@ -248,6 +248,7 @@ class _Problem:
             reason = "left_cube"
         return Solution(
             displacement=nodal,
+            parameters=self.split(state.free)[1],
             fraction=fraction,
             load=None,
             reason=reason,
@@ -268,7 +269,7 @@ class _Problem:
             scale = pair.inverse_product * float(pair.change @ vector)
             vector -= scale * pair.bend
             scales.append(scale)
-        vector = self.factor.solve(vector[:, None])[:, 0]
+        vector = self.preconditioner.solve(vector)
         for pair, scale in zip(pairs, reversed(scales), strict=True):
             vector += (scale - pair.inverse_product * float(pair.bend @ vector)) * pair.change
         return vector

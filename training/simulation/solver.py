@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +11,7 @@ import scipy.sparse as sp
 from jaxtyping import Float64
 
 from training.simulation.body import Body
-from training.simulation.elements import MeanDilatationHexahedron
+from training.simulation.elements import PAIRS_24, Element, ElementTangent, MeanDilatationHexahedron
 from training.simulation.factor import Factor, factorise
 from training.simulation.loads import Load, nodal_forces
 
@@ -21,14 +22,23 @@ class LinearSolver:
     Args:
         body: The body.
         poisson_ratio: ν in [0, 0.49].
+        element: Law of the cell: `MeanDilatationHexahedron`, or `EnhancedHexahedron`, which is exact in bending.
         backend: Factorisation, see `factorise`.
     """
 
-    def __init__(self, body: Body, poisson_ratio: float, backend: str = "auto") -> None:
+    def __init__(
+        self,
+        body: Body,
+        poisson_ratio: float,
+        element: Callable[[float, np.ndarray, float], Element] = MeanDilatationHexahedron,
+        backend: str = "auto",
+    ) -> None:
         self.body = body
         self.poisson_ratio = poisson_ratio
-        self.element = MeanDilatationHexahedron(body.cell_edge)
-        self.stiffness = self.assemble(self.element.stiffness(body.quadrature_weights, poisson_ratio))
+        self.element = element(body.cell_edge, body.octant_fill, poisson_ratio)
+        cells = len(body.active)
+        self.tangent = self.element.tangent(np.zeros((24, cells)), np.zeros((self.element.internal, cells)))
+        self.stiffness = self.assemble(self.tangent.stiffness)
         self.factor: Factor = factorise(self.stiffness, backend)
         self._backend = backend
 
@@ -60,9 +70,38 @@ class LinearSolver:
 
     def reactions(self, displacements: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "nodes 3"]:
         """Internal nodal forces K u: the applied load at free nodes, minus it at clamped ones."""
-        stiffness = self.element.stiffness(self.body.quadrature_weights, self.poisson_ratio)
+        stiffness = self.tangent.stiffness
         full = np.zeros((24, 24, stiffness.shape[1]))
-        rows, columns = np.triu_indices(24)
-        full[rows, columns] = stiffness
-        full[columns, rows] = stiffness
+        full[PAIRS_24] = stiffness
+        full[PAIRS_24[1], PAIRS_24[0]] = stiffness
         return self.body.scatter(np.einsum("abm,bm->am", full, self.body.gather(displacements)))
+
+
+@dataclass(frozen=True)
+class CondensedFactor:
+    """Inverse of a tangent over displacements and internal parameters, by static condensation.
+
+    Source: Guyan, AIAA J. 3 (1965), for the condensation.
+    """
+
+    body: Body
+    factor: Factor
+    tangent: ElementTangent
+
+    def solve(self, vector: Float64[np.ndarray, " dof"]) -> Float64[np.ndarray, " dof"]:
+        """Displacements and parameters in equilibrium with a vector of forces on both."""
+        free = self.body.free_dof
+        internal = vector[len(free) :].reshape(-1, len(self.body.active)).T[:, :, None]
+        outer = vector[: len(free)]
+        if internal.size:
+            recovered = (self.tangent.recovery.transpose(0, 2, 1) @ internal)[:, :, 0].T
+            outer = outer - self.body.scatter(np.ascontiguousarray(recovered)).reshape(-1)[free]
+        solution = np.empty_like(vector)
+        solution[: len(free)] = self.factor.solve(outer[:, None])[:, 0]
+        if internal.size:
+            full = np.zeros(3 * self.body.nodes)
+            full[free] = solution[: len(free)]
+            moved = self.body.gather(full.reshape(-1, 3)).T[:, :, None]
+            parameters = self.tangent.compliance @ internal - self.tangent.recovery @ moved
+            solution[len(free) :] = parameters[:, :, 0].T.ravel()
+        return solution

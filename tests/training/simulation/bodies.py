@@ -6,6 +6,7 @@ from scipy.sparse.linalg import spsolve
 
 from training.simulation.body import Body, Distance
 from training.simulation.elements import PAIRS_24, MeanDilatationHexahedron
+from training.simulation.enhanced import EnhancedHexahedron
 
 
 def box(center, half) -> Distance:
@@ -45,10 +46,18 @@ def whole_cube(points):
     return np.full(len(points), -1.0, np.float32)
 
 
-def full_stiffness(body: Body, poisson_ratio: float, element=None) -> sp.csr_array:
+ELEMENTS = [MeanDilatationHexahedron, EnhancedHexahedron]
+
+
+def at_rest(element, cells: int):
+    """Displacements and internal parameters of cells at rest."""
+    return np.zeros((24, cells)), np.zeros((element.internal, cells))
+
+
+def full_stiffness(body: Body, poisson_ratio: float, element=MeanDilatationHexahedron) -> sp.csr_array:
     """Stiffness over all degrees of freedom, clamped ones too, assembled the plain way."""
-    element = element or MeanDilatationHexahedron(body.cell_edge)
-    upper = element.stiffness(body.quadrature_weights, poisson_ratio)
+    law = element(body.cell_edge, body.octant_fill, poisson_ratio)
+    upper = law.tangent(*at_rest(law, len(body.active))).stiffness
     local = np.zeros((24, 24, upper.shape[1]))
     rows, columns = PAIRS_24
     local[rows, columns] = upper

@@ -19,7 +19,7 @@ def test_volume_counts_octants_that_are_floored_as_empty():
 def test_node_numbers_point_at_their_own_corner():
     body = Body.from_distance(bridge(), 12)
     for local in (0, 3, 5, 7):
-        corner = body.active + [local >> 2 & 1, local >> 1 & 1, local & 1]
+        corner = body.active + np.array([local >> 2 & 1, local >> 1 & 1, local & 1])
         np.testing.assert_array_equal(body.node_grid[body.cell_nodes[:, local]], corner)
 
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tests.training.simulation.bodies import bridge, column, sphere
+from tests.training.simulation.bodies import ELEMENTS, bridge, column, sphere
 from training.simulation.body import Body
 from training.simulation.loads import Load, nodal_forces
 from training.simulation.newton import solve_neo_hookean
@@ -10,9 +10,9 @@ from training.simulation.solver import LinearSolver
 TOP = np.array([0.5, 0.5, 8 / 12])
 
 
-@pytest.fixture(scope="module")
-def solver():
-    return LinearSolver(Body.from_distance(bridge(), 12), 0.4)
+@pytest.fixture(scope="module", params=ELEMENTS, ids=lambda element: element.__name__)
+def solver(request):
+    return LinearSolver(Body.from_distance(bridge(), 12), 0.4, request.param)
 
 
 def test_small_loads_give_the_linear_answer(solver):
@@ -33,8 +33,9 @@ def test_every_load_step_is_in_equilibrium_at_a_large_load(solver):
     assert steps[-1].peak_displacement > 0.05
     body = solver.body
     for step in steps:
-        element = solver.element.evaluate(body.gather(step.displacement), body.quadrature_weights, 0.4)
+        element = solver.element.evaluate(body.gather(step.displacement), step.parameters)
         internal = body.scatter(element.forces)
+        assert np.abs(element.internal_forces).max(initial=0.0) < 1e-8 * np.abs(element.forces).max()
         applied = nodal_forces(body, step.load)
         assert np.linalg.norm((internal - applied)[~body.clamped]) < 1e-8 * np.linalg.norm(applied)
         np.testing.assert_allclose(

@@ -36,9 +36,7 @@ def test_affine_motion_is_exact():
     """y = A x + b has backward displacement y − A⁻¹(y − b) and occupancy sdf(A⁻¹(y − b)) < 0."""
     body = Body.from_distance(box([0.5, 0.5, 0.25], [0.2, 0.12, 0.25]), 24)
     angle = 0.6
-    matrix = np.array(
-        [[np.cos(angle), 0.0, np.sin(angle)], [0.1, 1.1, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]]
-    )
+    matrix = np.array([[np.cos(angle), 0.0, np.sin(angle)], [0.1, 1.1, 0.0], [-np.sin(angle), 0.0, np.cos(angle)]])
     shift = np.array([0.5, 0.5, 0.3]) - matrix @ [0.5, 0.5, 0.25]
     displacement = body.node_positions @ matrix.T + shift - body.node_positions
     result = rasterise(body, displacement)
