@@ -105,26 +105,32 @@ def _fit(options: argparse.Namespace) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
+    from training.data.store import StoreError
     from training.evaluate import evaluate
 
-    threshold, figures = evaluate(options.run_folder / "checkpoint.pt", options.data, options.split)
+    try:
+        threshold, figures = evaluate(options.run_folder / "checkpoint.pt", options.data, options.split)
+    except (StoreError, FileNotFoundError) as error:
+        print(f"physnet-train: {error}", file=sys.stderr)
+        return 1
     print(json.dumps({"threshold": threshold, **figures}, indent=1))
     return 0
 
 
 def _export(options: argparse.Namespace) -> int:
     from training.data.batches import DeformationSet
+    from training.data.store import StoreError
     from training.evaluate import evaluate
     from training.export import ExportError, condition_range_of, export_model
 
     checkpoint = options.run_folder / "checkpoint.pt"
-    threshold, figures = evaluate(checkpoint, options.data, "test")
     ranges: dict[str, tuple[float, float]] = {}
-    if "samples_moved" in figures:
-        ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
     try:
+        threshold, figures = evaluate(checkpoint, options.data, "test")
+        if "samples_moved" in figures:
+            ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
         manifest = export_model(checkpoint, options.models, options.name, options.version, threshold, ranges, figures)
-    except ExportError as error:
+    except (ExportError, StoreError, FileNotFoundError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
     print(f"{manifest.name} {manifest.version}: differs from torch by {manifest.parity:.1e}; {json.dumps(figures)}")

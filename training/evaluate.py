@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -25,9 +25,12 @@ MOVED = 0.95
 HALF_VOXEL = 0.5 / 64.0
 BATCH = 16
 
+Figures: TypeAlias = dict[str, int | float]
+"""What was measured, by name."""
+
 
 @torch.no_grad()
-def evaluate_deformation(network: DeformationNetwork, samples: DeformationSet, threshold: float) -> dict[str, float]:
+def evaluate_deformation(network: DeformationNetwork, samples: DeformationSet, threshold: float) -> Figures:
     """Figures over a split; `skill` counts the samples that moved (identity IoU below 0.95)."""
     scores, errors, peak_ratios = [], [], []
     for rows in np.array_split(np.arange(len(samples)), max(1, len(samples) // BATCH)):
@@ -63,7 +66,7 @@ def evaluate_deformation(network: DeformationNetwork, samples: DeformationSet, t
 
 
 @torch.no_grad()
-def evaluate_reconstruction(network: ReconstructionNetwork, views: ViewSet, threshold: float) -> dict[str, float]:
+def evaluate_reconstruction(network: ReconstructionNetwork, views: ViewSet, threshold: float) -> Figures:
     """Figures over a split; free space overrules the network, as in the service."""
     scores = []
     for rows in np.array_split(np.arange(len(views)), max(1, len(views) // BATCH)):

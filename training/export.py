@@ -172,6 +172,8 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
         # The exporter that traces is the older of torch's two. It stays as long as its graphs are checked against
         # torch below: it writes one self-contained file and needs no further library.
         warnings.filterwarnings("ignore", category=DeprecationWarning)
+        # What tracing might freeze, the number of loads above all, would show in that comparison.
+        warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
         torch.onnx.export(
             graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
             opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},

@@ -42,8 +42,9 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig) ->
     optimizer = torch.optim.AdamW(
         network.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
     )
+    rise = min(config.warm_up / config.steps, 0.5)  # a run shorter than its warm-up is a trial, not an error
     schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, config.learning_rate, total_steps=config.steps, pct_start=config.warm_up / config.steps
+        optimizer, config.learning_rate, total_steps=config.steps, pct_start=rise
     )
     first = run.resume(network, optimizer, schedule, config, dataset=Store(data).manifest())
     run.say(f"{len(training)} training and {len(validation)} validation views")

@@ -33,7 +33,7 @@ class Parts:
             self.optimizer.step()
             self.schedule.step()
 
-    def resume(self, run: Run, config: object = Config(), dataset: dict[str, object] = DATASET) -> int:  # noqa: B008
+    def resume(self, run: Run, config: object = Config(), dataset: dict[str, object] = DATASET) -> int:
         return run.resume(self.network, self.optimizer, self.schedule, config, dataset)
 
 

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from service.core.grids import pack_bits
+from service.core.lookup import warp
 from training.data.everyday import coarsen
 from training.data.store import Store
 from training.fit_deformation import FitDeformationConfig
@@ -35,6 +36,9 @@ FIT_RECONSTRUCTION = FitReconstructionConfig(
 GROUPS = (0, 1, 2, 3, 4, 5)
 """Group 0 validates, 1 and 2 test, the rest train (`training.data.batches.split_of`)."""
 
+SHEAR = 60.0
+"""Slope of the displacement over the height, for a load number of 1."""
+
 CENTRES = (np.indices((64, 64, 64), dtype=np.float32) + 0.5) / 64
 
 
@@ -48,10 +52,7 @@ def box(group: int) -> np.ndarray:
 def sheared(rest: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The body sheared over its clamp by u(y) = shift·z, and the field, NaN outside the deformed body."""
     backward = shift.astype(np.float32)[:, None, None, None] * CENTRES[2]
-    source = np.floor((CENTRES - backward) * 64).astype(int)
-    inside = ((source >= 0) & (source < 64)).all(axis=0)
-    x, y, z = np.where(inside, source, 0)
-    deformed = inside & rest[x, y, z]
+    deformed = warp(rest, backward) > 0.5
     return deformed, np.where(deformed, backward, np.nan).astype(np.float32)
 
 
@@ -61,7 +62,7 @@ def deformation_group(group: int) -> dict[str, np.ndarray]:
     height = 0.3 + 0.05 * group
     rows = []
     for step, log_load in enumerate((-2.5, -2.2)):
-        shift = np.array([40.0 * 10.0**log_load, 0.0, 0.0])
+        shift = np.array([SHEAR * 10.0**log_load, 0.0, 0.0])
         deformed, backward = sheared(rest, shift)
         displacement, coverage = coarsen(backward)
         rows.append(

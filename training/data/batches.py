@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Float16, Float32, Int, UInt8
 from torch import Tensor
 
-from training.data.store import Store
+from training.data.store import Store, StoreError
 
 GRID = (64, 64, 64)
 FIELD = (32, 32, 32)
@@ -21,6 +21,10 @@ def split_of(group: int) -> str:
     """Split by body, never by load or view: one body in twenty validates, one in ten tests, the rest trains."""
     remainder = group % 20
     return "validation" if remainder == 0 else "test" if remainder in (1, 2) else "train"
+
+
+def _no_body(root: Path, split: str) -> StoreError:
+    return StoreError(f"{root} holds no body of the {split} split; draw more groups with `physnet-train simulate`")
 
 
 def unpack(bits: UInt8[np.ndarray, "n bytes"]) -> Float[Tensor, "n 1 64 64 64"]:
@@ -49,7 +53,11 @@ class DeformationSet:
 
     @classmethod
     def load(cls, root: Path, split: str) -> DeformationSet:
-        """Read one split of a finished or growing store."""
+        """Read one split of a finished or growing store.
+
+        Raises:
+            StoreError: It holds no body of that split.
+        """
         columns: dict[str, list[Any]] = {}
         rest: list[UInt8[np.ndarray, " bytes"]] = []
         body: list[Int[np.ndarray, " n"]] = []
@@ -64,6 +72,8 @@ class DeformationSet:
             law.extend(str(name) for name in group["law"])
             for key in ("condition", "deformed", "displacement", "coverage", "peak", "identity_iou"):
                 columns.setdefault(key, []).append(group[key])
+        if not rest:
+            raise _no_body(root, split)
         return cls(
             rest=np.stack(rest), family=tuple(family), body=np.concatenate(body), law=tuple(law),
             **{key: np.concatenate(parts) for key, parts in columns.items()},
@@ -144,6 +154,11 @@ class ViewSet:
 
     @classmethod
     def load(cls, root: Path, split: str) -> ViewSet:
+        """Read one split of a finished or growing store.
+
+        Raises:
+            StoreError: It holds no body of that split.
+        """
         columns: dict[str, list[Any]] = {"observed": [], "free": [], "truth": []}
         family: list[str] = []
         for index, group in Store(root).groups():
@@ -152,6 +167,8 @@ class ViewSet:
             for key, parts in columns.items():
                 parts.append(group[key])
             family.extend([str(group["family"])] * len(group["sample"]))
+        if not family:
+            raise _no_body(root, split)
         return cls(family=tuple(family), **{key: np.concatenate(parts) for key, parts in columns.items()})
 
     def batch(self, rows: Int[np.ndarray, " b"]) -> ViewBatch:

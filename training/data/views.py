@@ -9,7 +9,7 @@ import numpy as np
 
 from service.core.arrays import DepthImage, Mask, Occupancy
 from service.core.camera import pixel_to_point
-from service.core.errors import PhysNetError
+from service.core.errors import EmptyObject, PhysNetError
 from service.core.grids import Grid, invert_rigid, pack_bits
 from service.core.segmentation import Segment, segment
 from service.core.voxels import VoxelView, voxelize
@@ -125,7 +125,7 @@ def _segment(
         return segment(depth_m, viewpoint.intrinsics, mask=_frayed(mask, rng), up=up)
     rows, columns = np.nonzero(mask & np.isfinite(depth_m))
     if not len(rows):
-        raise Dropped("not_segmented")
+        raise EmptyObject("the sensor gave no reading on the object")
     pick = int(rng.integers(len(rows)))
     contact_m = pixel_to_point(float(columns[pick]), float(rows[pick]), depth_m, viewpoint.intrinsics)
     return segment(depth_m, viewpoint.intrinsics, up=up, contact_m=contact_m)

@@ -1,0 +1,84 @@
+"""Views of one body through the camera, the sensor and the service's own perception."""
+
+import dataclasses
+import functools
+
+import numpy as np
+import pytest
+
+from service.core.grids import unpack_bits
+from training.data.generate import Dropped
+from training.data.views import ViewsConfig, draw_group
+from training.metrics import iou
+
+CONFIG = ViewsConfig(seed=0, views=2)
+
+
+@functools.cache
+def drawn(seed: int) -> dict[str, np.ndarray]:
+    """The first body of a seed of which a view could be segmented."""
+    for index in range(10):
+        try:
+            return draw_group(dataclasses.replace(CONFIG, seed=seed), index)
+        except Dropped:
+            continue
+    raise AssertionError("ten bodies without a view")
+
+
+@pytest.fixture(params=[0, 1])
+def group(request: pytest.FixtureRequest) -> dict[str, np.ndarray]:
+    return drawn(request.param)
+
+
+def views(group: dict[str, np.ndarray]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    columns = (group["observed"], group["free"], group["truth"])
+    return [tuple(unpack_bits(bits) for bits in row) for row in zip(*columns, strict=True)]
+
+
+def grown(occupancy: np.ndarray) -> np.ndarray:
+    """The body and the 26 neighbours of its voxels."""
+    padded = np.pad(occupancy, 1)
+    result = np.zeros_like(occupancy)
+    for x in range(3):
+        for y in range(3):
+            for z in range(3):
+                result |= padded[x : x + 64, y : y + 64, z : z + 64]
+    return result
+
+
+def test_a_group_is_drawn_from_its_seed_alone() -> None:
+    first, second = drawn(1), drawn.__wrapped__(1)
+    for key in first:
+        assert first[key].tobytes() == second[key].tobytes(), key
+
+
+def test_one_view_does_not_depend_on_how_many_are_drawn() -> None:
+    alone = draw_group(dataclasses.replace(CONFIG, seed=1, views=1), 0)
+    assert alone["sample"][0, 0] == drawn(1)["sample"][0, 0] == 0
+    assert alone["observed"][0].tobytes() == drawn(1)["observed"][0].tobytes()
+
+
+def test_the_truth_covers_what_was_observed_within_a_voxel(group: dict[str, np.ndarray]) -> None:
+    """But for the few points that the sensor's noise carries farther."""
+    for observed, _, truth in views(group):
+        assert (observed & grown(truth)).sum() / observed.sum() > 0.97
+
+
+def test_hardly_any_of_the_body_is_seen_through(group: dict[str, np.ndarray]) -> None:
+    for observed, free, truth in views(group):
+        assert (free & truth).sum() / truth.sum() <= 0.02
+        assert not (free & observed).any()
+
+
+def test_the_body_stands_in_its_grid_and_is_seen_through_free_space(group: dict[str, np.ndarray]) -> None:
+    for _, free, truth in views(group):
+        assert truth[:, :, :2].any()
+        assert free.mean() > 0.2
+
+
+def test_a_view_shows_less_than_the_truth(group: dict[str, np.ndarray]) -> None:
+    assert all(0.01 < iou(observed, truth) < 0.8 for observed, _, truth in views(group))
+
+
+def test_sizes_are_those_asked_for(group: dict[str, np.ndarray]) -> None:
+    assert ((group["sample"][:, 1] > 0.04) & (group["sample"][:, 1] < 0.6)).all()

@@ -1,0 +1,114 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tests.training import tiny
+from training.data.batches import DeformationSet, ViewSet
+from training.evaluate import THRESHOLDS, evaluate, evaluate_deformation, evaluate_reconstruction, tune_threshold
+from training.networks.deformation import DeformationNetwork
+from training.networks.reconstruction import ReconstructionNetwork
+
+
+@pytest.fixture(scope="module")
+def deformations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny.write_deformations(tmp_path_factory.mktemp("deformations"))
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny.write_views(tmp_path_factory.mktemp("views"))
+
+
+class Knowing(DeformationNetwork):
+    """Answers with a share of the true shear."""
+
+    def __init__(self, share: float) -> None:
+        super().__init__(tiny.DEFORMATION)
+        self.share = share
+
+    def forward(self, rest, condition, noise):
+        heights = (torch.arange(32) + 0.5) / 32
+        field = torch.zeros(len(condition), 3, 32, 32, 32)
+        field[:, 0] = (self.share * tiny.SHEAR * 10.0 ** condition[:, 6])[:, None, None, None] * heights
+        latent = torch.zeros(len(condition), 3)
+        return field, latent, latent
+
+
+class Seeing(ReconstructionNetwork):
+    """Gives a fixed probability to the true voxels, another one to the rest, by the height of what it observes."""
+
+    def __init__(self, samples: ViewSet, inside: float, outside: float) -> None:
+        super().__init__(tiny.RECONSTRUCTION)
+        batch = samples.batch(np.arange(len(samples)))
+        self.views = batch.view
+        probability = torch.where(batch.truth > 0.5, inside, outside)
+        self.logits = torch.log(probability / (1 - probability))
+
+    def forward(self, view):
+        rows = [int((self.views - one).abs().sum(dim=(1, 2, 3, 4)).argmin()) for one in view]
+        return self.logits[rows]
+
+
+def test_the_truth_scores_full_marks_and_standing_still_none(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "test")
+    perfect = evaluate_deformation(Knowing(1.0), samples, 0.5)
+    still = evaluate_deformation(Knowing(0.0), samples, 0.5)
+    assert perfect["samples"] == perfect["samples_moved"] == 4
+    assert perfect["skill"] > 0.95
+    assert perfect["displacement_error"] < 0.02  # of the peak; the clamp's own layer is interpolated
+    assert perfect["peak_ratio_median"] == pytest.approx(1.0, abs=0.06)  # the topmost node lies below the top
+    assert still["skill"] == pytest.approx(0.0, abs=1e-6)
+    assert still["iou"] == still["iou_identity"] == pytest.approx(float(samples.identity_iou.mean()), abs=1e-6)
+    assert still["iou_changed_voxels"] == 0.0
+    assert still["peak_ratio_median"] == 0.0
+    # A body sheared by s·z and clamped at 0 moves by half of its peak on average.
+    assert still["displacement_error"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_what_was_seen_free_overrules_the_network(views: Path) -> None:
+    samples = ViewSet.load(views, "test")
+    everything = evaluate_reconstruction(Seeing(samples, 0.9, 0.9), samples, 0.5)
+    free = np.mean([np.unpackbits(row).mean() for row in samples.free])
+    truth = np.mean([np.unpackbits(row).mean() for row in samples.truth])
+    assert everything["iou"] == pytest.approx(truth / (1 - free), rel=0.05)
+    assert evaluate_reconstruction(Seeing(samples, 0.9, 0.1), samples, 0.5)["iou"] == 1.0
+
+
+def test_the_papers_threshold_is_printed_beside_ours(views: Path) -> None:
+    samples = ViewSet.load(views, "test")
+    figures = evaluate_reconstruction(Seeing(samples, 0.7, 0.1), samples, 0.5)
+    assert figures["iou"] == 1.0
+    assert figures["iou_at_0.8"] == 0.0
+    assert 0.0 < figures["iou_observed_only"] < 0.2
+
+
+def test_the_threshold_that_tells_body_from_rest_is_found(views: Path) -> None:
+    samples = ViewSet.load(views, "train")
+    assert tune_threshold(Seeing(samples, 0.62, 0.57), samples) == 0.6
+    assert 0.8 in THRESHOLDS
+
+
+def test_a_network_is_not_judged_on_the_other_networks_data(views: Path) -> None:
+    with pytest.raises(TypeError, match="DeformationNetwork cannot be judged on a ViewSet"):
+        tune_threshold(tiny.deformation_network(), ViewSet.load(views, "train"))
+
+
+@pytest.mark.parametrize("kind", ["deformation", "reconstruction"])
+def test_a_checkpoint_is_scored_on_the_split_asked_for(
+    kind: str, deformations: Path, views: Path, tmp_path: Path
+) -> None:
+    if kind == "deformation":
+        checkpoint = tiny.save_checkpoint(tiny.deformation_network(), tiny.FIT_DEFORMATION, tmp_path)
+        data = deformations
+    else:
+        checkpoint = tiny.save_checkpoint(tiny.reconstruction_network(), tiny.FIT_RECONSTRUCTION, tmp_path)
+        data = views
+    threshold, figures = evaluate(checkpoint, data, "test")
+    assert threshold in THRESHOLDS
+    assert figures["split"] == "test"
+    assert figures["samples"] == 4
+    assert 0.0 <= figures["iou"] <= 1.0
+    given, again = evaluate(checkpoint, data, "test", threshold)
+    assert (given, again) == (threshold, figures)

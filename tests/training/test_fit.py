@@ -1,0 +1,201 @@
+"""Both training loops: they learn, log, validate, stop, and go on as if nothing had happened."""
+
+import csv
+import dataclasses
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from tests.training import tiny
+from training.data.batches import DeformationSet
+from training.data.store import Store, StoreError
+from training.fit_deformation import augmented, fit_deformation, sample_points, step_losses, validate
+from training.fit_reconstruction import fit_reconstruction
+from training.networks.deformation import DeformationNetwork
+from training.runs import Run, RunError
+
+
+class Killed(Exception):
+    pass
+
+
+class KilledAt(Run):
+    """A run whose process ends right after an optimizer step."""
+
+    def __init__(self, root: Path, step: int) -> None:
+        super().__init__(root)
+        self._last = step
+
+    def progress(self, done: int, total: int, first: int, started: float, losses: dict[str, float]) -> None:
+        if done == self._last:
+            raise Killed
+
+
+@dataclasses.dataclass(frozen=True)
+class Program:
+    fit: Callable[[Path, Run, Any], None]
+    config: Any
+    data: Path
+
+
+@pytest.fixture(scope="module", params=["deformation", "reconstruction"])
+def program(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Program:
+    root = tmp_path_factory.mktemp(request.param)
+    if request.param == "deformation":
+        return Program(fit_deformation, tiny.FIT_DEFORMATION, tiny.write_deformations(root))
+    return Program(fit_reconstruction, tiny.FIT_RECONSTRUCTION, tiny.write_views(root))
+
+
+@pytest.fixture(scope="module")
+def deformations(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny.write_deformations(tmp_path_factory.mktemp("boxes"))
+
+
+def weights(run: Path) -> dict[str, torch.Tensor]:
+    network: dict[str, torch.Tensor] = torch.load(run / "checkpoint.pt", weights_only=True)["network"]
+    return network
+
+
+def log(run: Path) -> list[dict[str, str]]:
+    with (run / "log.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_killed_run_goes_on_to_the_very_same_weights(program: Program, tmp_path: Path) -> None:
+    program.fit(program.data, Run(tmp_path / "whole"), program.config)
+    with pytest.raises(Killed):
+        program.fit(program.data, KilledAt(tmp_path / "killed", 5), program.config)
+    assert torch.load(tmp_path / "killed" / "checkpoint.pt", weights_only=True)["step"] == 3
+    program.fit(program.data, Run(tmp_path / "killed"), program.config)
+    whole, resumed = weights(tmp_path / "whole"), weights(tmp_path / "killed")
+    assert whole.keys() == resumed.keys()
+    different = [name for name in whole if not torch.equal(whole[name], resumed[name])]
+    assert not different
+    assert [row["step"] for row in log(tmp_path / "whole")] == ["3", "6"]
+    assert log(tmp_path / "whole") == log(tmp_path / "killed")
+
+
+def test_a_finished_run_is_left_as_it_is(program: Program, tmp_path: Path) -> None:
+    config = dataclasses.replace(program.config, steps=3, validate_every=3)
+    program.fit(program.data, Run(tmp_path), config)
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+    program.fit(program.data, Run(tmp_path), config)
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before
+
+
+def test_another_configuration_or_data_set_is_refused(program: Program, tmp_path: Path) -> None:
+    config = dataclasses.replace(program.config, steps=3, validate_every=3)
+    program.fit(program.data, Run(tmp_path / "run"), config)
+    with pytest.raises(RunError, match="another learning_rate"):
+        program.fit(program.data, Run(tmp_path / "run"), dataclasses.replace(config, learning_rate=1e-4))
+    # The same set with one body more.
+    other = Store(tmp_path / "other")
+    for index, group in Store(program.data).groups():
+        other.write_group(index, group)
+    other.write_group(6, dict(Store(program.data).groups())[5])
+    other.write_manifest({})
+    with pytest.raises(RunError, match="another data set"):
+        program.fit(other.root, Run(tmp_path / "run"), config)
+
+
+def test_an_unfinished_data_set_is_refused(program: Program, tmp_path: Path) -> None:
+    store = Store(tmp_path / "unfinished")
+    for index, group in Store(program.data).groups():
+        store.write_group(index, group)
+    with pytest.raises(StoreError, match="no manifest"):
+        program.fit(store.root, Run(tmp_path / "run"), program.config)
+
+
+def test_a_loss_that_is_no_number_stops_with_its_step_and_keeps_the_checkpoint(tmp_path: Path) -> None:
+    data = tiny.write_deformations(tmp_path / "data")
+    with pytest.raises(Killed):
+        fit_deformation(data, KilledAt(tmp_path / "run", 4), tiny.FIT_DEFORMATION)
+    before = (tmp_path / "run" / "checkpoint.pt").read_bytes()
+    store = Store(data)
+    for index, group in list(store.groups()):  # spoiled behind the manifest's back
+        store.write_group(index, {**group, "displacement": np.full_like(group["displacement"], np.nan)})
+    with pytest.raises(RunError, match=r"the loss is nan at step 3; the last checkpoint is kept"):
+        fit_deformation(data, Run(tmp_path / "run"), tiny.FIT_DEFORMATION)
+    assert (tmp_path / "run" / "checkpoint.pt").read_bytes() == before
+
+
+def test_training_lowers_the_loss(deformations: Path, tmp_path: Path) -> None:
+    """Twenty steps on three boxes: the field learns that things move along +x."""
+    config = dataclasses.replace(
+        tiny.FIT_DEFORMATION, steps=20, validate_every=20, learning_rate=2e-2, warm_up=2
+    )
+    losses: list[float] = []
+
+    class Watched(Run):
+        def progress(self, done: int, total: int, first: int, started: float, losses_: dict[str, float]) -> None:
+            losses.append(losses_["displacement"])
+
+    fit_deformation(deformations, Watched(tmp_path), config)
+    assert np.mean(losses[-4:]) < 0.8 * np.mean(losses[:4])
+    assert set(log(tmp_path)[0]) == {"step", "iou", "identity", "skill", "displacement_error", "peak_ratio"}
+
+
+def test_the_gain_starts_where_the_data_set_is(deformations: Path, tmp_path: Path) -> None:
+    fit_deformation(deformations, Run(tmp_path), dataclasses.replace(tiny.FIT_DEFORMATION, steps=3))
+    samples = DeformationSet.load(deformations, "train")
+    expected = float(np.mean(np.log10(samples.peak) - samples.condition[:, 6]))
+    saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)["config"]["network"]["log_gain"]
+    assert saved == pytest.approx(expected)
+
+
+def test_the_right_field_costs_only_the_blur_of_the_surface(deformations: Path) -> None:
+    """With the truth in place of the network's answer nothing is left of the displacement term."""
+    samples = DeformationSet.load(deformations, "train")
+    batch = samples.batch(np.arange(4))
+
+    class Knowing(DeformationNetwork):
+        def __init__(self, scale: float) -> None:
+            super().__init__(tiny.DEFORMATION)
+            self.scale = scale
+
+        def forward(self, rest, condition, noise):
+            latent = torch.zeros(len(condition), 3)
+            return self.scale * batch.displacement, latent, latent
+
+    torch.manual_seed(0)
+    config = dataclasses.replace(tiny.FIT_DEFORMATION, points=4096)
+    right = step_losses(Knowing(1.0), batch, config)
+    wrong = step_losses(Knowing(-1.0), batch, config)
+    assert float(right["displacement"]) < 1e-3
+    assert float(right["kl"]) == 0.0
+    assert float(right["occupancy"]) < 0.5 * float(wrong["occupancy"])
+
+
+def test_points_are_compared_at_their_own_voxels_half_of_them_near_the_body(deformations: Path) -> None:
+    batch = DeformationSet.load(deformations, "train").batch(np.array([0, 1]))
+    torch.manual_seed(0)
+    points, target = sample_points(batch, 4000)
+    index = (points * 64 - 0.5).round().long()
+    torch.testing.assert_close((index + 0.5) / 64, points, atol=1e-6, rtol=0)
+    for i in range(2):
+        x, y, z = index[i].T
+        assert torch.equal(batch.deformed[i, x, y, z], target[i])
+    # The body fills a tenth of the cube; half of the points and a tenth of the other half lie in or beside it.
+    assert 0.25 < float(target.mean()) < 0.6
+
+
+def test_augmentation_uses_all_eight_images_of_the_square(deformations: Path) -> None:
+    batch = DeformationSet.load(deformations, "train").batch(np.array([0]))
+    batch.rest[0, 0, 5, 20, 3] = 1.0  # a body without symmetry
+    images = {
+        augmented(batch, np.random.default_rng(seed)).rest.numpy().tobytes() for seed in range(60)
+    }
+    assert len(images) == 8
+
+
+def test_validation_does_not_depend_on_chance(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "train")
+    network = tiny.deformation_network()
+    torch.manual_seed(1)
+    first = validate(network, samples, 4)
+    torch.manual_seed(2)
+    assert validate(network, samples, 4) == first
