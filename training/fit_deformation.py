@@ -85,8 +85,10 @@ def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
         run.progress(done, config.steps, first, started, {name: value.item() for name, value in losses.items()})
         if done % config.validate_every == 0 or done == config.steps:
             run.log(done, validate(network, validation, config.validation_samples))
-            run.checkpoint(done, network, optimizer, schedule, config)
             network.train()
+            run.checkpoint(done, network, optimizer, schedule, config)
+        elif run.checkpoint_due():
+            run.checkpoint(done, network, optimizer, schedule, config)
 
 
 def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationBatch:
@@ -105,7 +107,7 @@ def step_losses(
     field, mean, log_variance = network(batch.rest, batch.condition, noise)
     points, target = sample_points(batch, config.points)
     source = points - sample_field(field, points).transpose(1, 2)
-    occupancy = sample_field(batch.rest_of_loads, source)[:, 0]
+    occupancy = sample_field(batch.rest_of_loads, source, outside="zeros")[:, 0]
     return {
         "displacement": relative_displacement(field, batch.displacement, batch.coverage, batch.peak, HALF_VOXEL),
         "occupancy": config.occupancy_weight * modified_bce(occupancy, target, config.alpha),

@@ -67,8 +67,10 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig) ->
         run.progress(done, config.steps, first, started, {"bce": loss.item()})
         if done % config.validate_every == 0 or done == config.steps:
             run.log(done, validate(network, validation, config.validation_samples))
-            run.checkpoint(done, network, optimizer, schedule, config)
             network.train()
+            run.checkpoint(done, network, optimizer, schedule, config)
+        elif run.checkpoint_due():
+            run.checkpoint(done, network, optimizer, schedule, config)
 
 
 @torch.no_grad()

@@ -32,13 +32,16 @@ class Run:
     Args:
         root: Folder of this run; made if need be.
         print_every: Seconds between lines of progress.
+        checkpoint_every: Seconds after which a checkpoint is due even where no validation is.
     """
 
-    def __init__(self, root: Path, print_every: float = 10.0) -> None:
+    def __init__(self, root: Path, print_every: float = 10.0, checkpoint_every: float = 120.0) -> None:
         self.root = root
         self.root.mkdir(parents=True, exist_ok=True)
         self._print_every = print_every
         self._printed = 0.0
+        self._checkpoint_every = checkpoint_every
+        self._checkpointed = time.monotonic()
         self._dataset: dict[str, Any] = {}
 
     @property
@@ -73,6 +76,10 @@ class Run:
         self.say(f"going on from step {state['step']}")
         return int(state["step"])
 
+    def checkpoint_due(self) -> bool:
+        """Whether the last checkpoint is so old that losing what came after it would hurt."""
+        return time.monotonic() - self._checkpointed >= self._checkpoint_every
+
     def checkpoint(self, step: int, network: nn.Module, optimizer: Stateful, schedule: Stateful, config: Any) -> None:
         """Write everything that `resume` needs, whole or not at all."""
         partial = self.checkpoint_path.with_suffix(".partial")
@@ -88,6 +95,7 @@ class Run:
             partial,
         )
         os.replace(partial, self.checkpoint_path)
+        self._checkpointed = time.monotonic()
 
     def check_finite(self, loss: Tensor, step: int) -> None:
         """Raises: RunError: The loss is NaN or infinite; the last good checkpoint stays."""

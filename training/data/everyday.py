@@ -94,7 +94,10 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
     family = FAMILIES[rng.integers(len(FAMILIES))]
-    shape = place_in_body_grid(sample_shape(family, rng))
+    try:
+        shape = place_in_body_grid(sample_shape(family, rng))
+    except RuntimeError as error:  # no body of the family stood in as many tries as it is given
+        raise Dropped("no_shape") from error
     if min_thickness(shape) < config.thickness / config.cells:
         raise Dropped("thin")
     try:

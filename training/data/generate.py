@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -43,7 +44,8 @@ def fill(
         os.environ[variable] = "1"
     started, printed, done, samples = time.monotonic(), 0.0, 0, 0
     # Spawned, not forked: the libraries read their number of threads when they load.
-    with ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_end_with_parent) as pool:
         futures = [pool.submit(_draw_one, store, draw, index) for index in todo]
         for future in as_completed(futures):
             done, samples = done + 1, samples + future.result()
@@ -57,6 +59,19 @@ def fill(
                     file=sys.stderr, flush=True,
                 )  # fmt: skip
     return store.write_manifest(configuration)
+
+
+def _end_with_parent() -> None:
+    """Let no worker outlive a generation that was killed: it would wait for work for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def _draw_one(store: Store, draw: Callable[[int], dict[str, np.ndarray]], index: int) -> int:

@@ -8,6 +8,7 @@ Detail of the shape thus passes through unblurred, and the field can be coarse.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -180,14 +181,21 @@ class DeformationNetwork(nn.Module):
 
 
 def sample_field(
-    field: Float[Tensor, "batch c x y z"], points: Float[Tensor, "batch n 3"]
+    field: Float[Tensor, "batch c x y z"],
+    points: Float[Tensor, "batch n 3"],
+    outside: Literal["border", "zeros"] = "border",
 ) -> Float[Tensor, "batch c n"]:
-    """Trilinear lookup of a field over the unit cube at points (x, y, z in [0, 1]); outside, the nearest value holds.
+    """Trilinear lookup of a field over the unit cube, differentiable in both.
+
+    Args:
+        field: Values at the centres of a regular lattice.
+        points: Where to look; x, y, z in [0, 1] inside the cube.
+        outside: `border` holds the last value, as for a displacement; `zeros` falls to nothing, as for a body.
 
     torch's grid_sample indexes the last axis first, hence the flip.
     """
     grid = (2.0 * points - 1.0).flip(-1)[:, :, None, None, :]
-    sampled = functional.grid_sample(field, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    sampled = functional.grid_sample(field, grid, mode="bilinear", padding_mode=outside, align_corners=False)
     return sampled[:, :, :, 0, 0]
 
 

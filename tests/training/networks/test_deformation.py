@@ -72,7 +72,9 @@ def test_a_voxel_centre_gives_the_voxel() -> None:
 def test_outside_the_cube_the_nearest_value_holds() -> None:
     field = torch.zeros(1, 1, 8, 8, 8)
     field[..., 0] = 1.0  # what stands on the floor
-    assert float(sample_field(field, torch.tensor([[[0.5, 0.5, -0.2]]]))) == pytest.approx(1.0)
+    below = torch.tensor([[[0.5, 0.5, -0.2]]])
+    assert float(sample_field(field, below)) == pytest.approx(1.0)
+    assert float(sample_field(field, below, outside="zeros")) == 0.0
 
 
 # --- warping ---
