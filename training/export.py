@@ -173,7 +173,7 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
         # torch below: it writes one self-contained file and needs no further library.
         warnings.filterwarnings("ignore", category=DeprecationWarning)
         # What tracing might freeze, the number of loads above all, would show in that comparison.
-        warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)
+        warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)  # type: ignore[attr-defined]
         torch.onnx.export(
             graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
             opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
@@ -205,7 +205,8 @@ def _difference(graph: nn.Module, tensors: Tensors, path: Path, seed: int) -> fl
 def model_card(manifest: Manifest) -> str:
     """The card in Markdown, from the manifest alone: nothing in it is typed by hand."""
     data = manifest.dataset
-    rows = "\n".join(f"| {key} | {value} |" for key, value in manifest.evaluation.items())
+    figures = {k: f"{v:.4f}" if isinstance(v, float) else v for k, v in manifest.evaluation.items()}
+    rows = "\n".join(f"| {key} | {value} |" for key, value in figures.items())
     settings = {k: v for k, v in manifest.configuration.items() if k != "network"}
     return f"""# {manifest.name} {manifest.version}
 

@@ -55,8 +55,8 @@ class DeformationModel:
             return Deformation(_warp_all(rest, displacement), displacement)
         draws = np.random.default_rng(0).standard_normal((samples, self._latent)).astype(np.float32)
         answers = [self._run(body, stacked, np.repeat(draw[None], len(stacked), axis=0)) for draw in draws]
-        probability = np.mean([_warp_all(rest, displacement) for displacement in answers], axis=0, dtype=np.float32)
-        return Deformation(probability, np.mean(answers, axis=0, dtype=np.float32))
+        probability = np.stack([_warp_all(rest, displacement) for displacement in answers]).mean(axis=0)
+        return Deformation(probability, np.stack(answers).mean(axis=0))
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.
