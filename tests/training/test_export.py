@@ -137,7 +137,7 @@ def test_another_contract_is_refused(
 def test_the_card_tells_data_network_and_figures(folders: dict[str, tuple[Path, Manifest]]) -> None:
     folder, manifest = folders["deformation"]
     card = (folder / "CARD.md").read_text()
-    for part in ("# deformation-tiny 0.1.0", "| iou | 0.875 |", "threshold: 0.45", "run `tiny-a`", manifest.commit,
+    for part in ("# deformation-tiny 0.1.0", "| iou | 0.8750 |", "threshold: 0.45", "run `tiny-a`", manifest.commit,
                  "12 samples in 6 groups, `sha256:0`", '"latent": 3'):  # fmt: skip
         assert part in card
 
