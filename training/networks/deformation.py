@@ -200,8 +200,14 @@ def sample_field(
 
 
 def at_voxels(field: Float[Tensor, "loads 3 32 32 32"]) -> Float[Tensor, "loads 3 64 64 64"]:
-    """The field between its nodes, at the centre of every voxel."""
-    return functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
+    """The field between its nodes, at the centre of every voxel, no longer anywhere than the voxel's height.
+
+    The floor is clamped: a displacement longer than the height above it would stretch the material in between to more
+    than twice its length, and near the floor it would tear the sole off. It also keeps y - u(y) above the floor.
+    """
+    fine = functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
+    length = torch.sqrt((fine * fine).sum(dim=1, keepdim=True) + 1e-12)
+    return fine * torch.clamp(cell_centres(64, fine)[2] / length, max=1.0)
 
 
 @torch.no_grad()
