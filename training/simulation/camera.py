@@ -45,6 +45,7 @@ def render(
     plane: bool = True,
     clutter: Sequence[Shape] = (),
     farthest_m: Number = FARTHEST_M,
+    table_m: tuple[Number, Number, Number, Number] | None = None,
 ) -> Rendering:
     """Depth image of a body on its support.
 
@@ -55,9 +56,10 @@ def render(
         plane: Whether the support plane z = 0 is there.
         clutter: Other bodies in the scene; the mask leaves out what they hide.
         farthest_m: Range of the camera along z.
+        table_m: Where the support plane ends: lowest x, highest x, lowest y, highest y; endless if not given.
     """
     size = (intrinsics.height, intrinsics.width)
-    depth = _plane_depth(camera_from_world, intrinsics) if plane else np.full(size, np.inf, np.float32)
+    depth = _plane_depth(camera_from_world, intrinsics, table_m) if plane else np.full(size, np.inf, np.float32)
     mask = np.zeros(size, bool)
     for body in (*clutter, shape):
         window = _window(body.bounds, camera_from_world, intrinsics)
@@ -174,8 +176,10 @@ def project(points_m: Points, camera_from_world: Transform, intrinsics: Intrinsi
     return np.stack([u, v, p[:, 2]], axis=1).astype(np.float32)
 
 
-def _plane_depth(camera_from_world: Transform, intrinsics: Intrinsics) -> DepthImage:
-    """Depth of z = 0, infinite above the horizon."""
+def _plane_depth(
+    camera_from_world: Transform, intrinsics: Intrinsics, table_m: tuple[Number, Number, Number, Number] | None
+) -> DepthImage:
+    """Depth of z = 0, infinite above the horizon and off the table."""
     world_from_camera = invert_rigid(camera_from_world)
     eye_height = world_from_camera[2, 3]
     x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
@@ -184,7 +188,14 @@ def _plane_depth(camera_from_world: Transform, intrinsics: Intrinsics) -> DepthI
     falling = -((r[1] * y + r[2])[:, None] + (r[0] * x)[None, :])  # metres lost per metre of depth
     with np.errstate(divide="ignore"):
         depth = eye_height / falling
-    return np.where((falling > 1e-9) & (eye_height > 0), depth, np.inf).astype(np.float32)
+    met = (falling > 1e-9) & (eye_height > 0)
+    if table_m is not None:
+        for axis, (low, high) in enumerate((table_m[:2], table_m[2:])):
+            r = world_from_camera[axis, :3]
+            with np.errstate(invalid="ignore"):
+                at = world_from_camera[axis, 3] + depth * ((r[1] * y + r[2])[:, None] + (r[0] * x)[None, :])
+                met &= (at >= low) & (at <= high)
+    return np.where(met, depth, np.inf).astype(np.float32)
 
 
 def _corners(bounds: Bounds) -> Points:

@@ -45,6 +45,8 @@ class SensorModel:
         hole_radius_px: Largest radius of these blobs.
         nearest_m: Shortest range; nearer surfaces give no reading.
         farthest_m: Longest range.
+        baseline_m: From the camera to its projector or second camera along x, of either sign: what the other one
+            cannot see gives no reading, which puts a shadow beside each object. 0 for time of flight.
     """
 
     noise_scale: float = 0.5
@@ -59,6 +61,7 @@ class SensorModel:
     hole_radius_px: float = 6.0
     nearest_m: float = 0.15
     farthest_m: float = 6.0
+    baseline_m: float = 0.0
 
 
 PERFECT = SensorModel(0.0, 0.0, 0.0, 0.0, 0.0, math.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf)
@@ -78,6 +81,7 @@ def sample_sensor(rng: np.random.Generator) -> SensorModel:
         speckle_dropout=0.01 * rng.random() ** 2,
         holes=float(rng.choice([0.0, 2.0, 6.0])),
         hole_radius_px=rng.uniform(3.0, 12.0),
+        baseline_m=float(rng.choice([-1.0, 1.0])) * rng.uniform(0.02, 0.08) if rng.random() < 0.7 else 0.0,
     )
 
 
@@ -116,6 +120,8 @@ def apply_sensor(
         depth = np.round(depth / sensor.quantum_m) * sensor.quantum_m
     lost = _dropout(depth.shape, theta, edge, rng, sensor)
     lost |= _holes(depth.shape, rng, sensor, holes_near)
+    if sensor.baseline_m != 0:
+        lost |= stereo_shadow(depth_m, focal_px * sensor.baseline_m)
     with np.errstate(invalid="ignore"):
         lost |= ~((depth >= sensor.nearest_m) & (depth <= sensor.farthest_m))
     return np.where(lost, np.nan, depth).astype(np.float32)
@@ -163,6 +169,27 @@ def depth_edges(depth_m: DepthImage) -> Mask:
     kernel = np.ones((3, 3), np.uint8)
     spread = cv2.dilate(filled, kernel) - cv2.erode(filled, kernel)
     return np.asarray((spread > JUMP * filled) & np.isfinite(depth_m), bool)
+
+
+def stereo_shadow(depth_m: DepthImage, focal_baseline: float) -> Mask:
+    """Pixels whose surface is hidden from a second camera on the same row.
+
+    The second camera, `baseline` along +x, sees column u at s = u − focal·baseline/z. A surface is hidden where one
+    farther along the row, nearer to the cameras, lands at the same s or before it.
+
+    Args:
+        depth_m: Ideal depth, NaN where there is nothing.
+        focal_baseline: Focal length in pixels times the baseline in metres; negative for a second camera along −x.
+    """
+    if focal_baseline < 0:
+        return np.ascontiguousarray(stereo_shadow(np.ascontiguousarray(depth_m[:, ::-1]), -focal_baseline)[:, ::-1])
+    seen_at = np.arange(depth_m.shape[1], dtype=np.float32) - np.float32(focal_baseline) / depth_m
+    seen_at = np.where(np.isfinite(seen_at), seen_at, np.inf)
+    following = np.minimum.accumulate(seen_at[:, ::-1], axis=1)[:, ::-1]
+    hidden = np.zeros(depth_m.shape, bool)
+    # Half a pixel of grace: on a steep surface neighbours land at nearly the same place.
+    hidden[:, :-1] = seen_at[:, :-1] > following[:, 1:] + 0.5
+    return np.asarray(hidden & np.isfinite(depth_m), bool)
 
 
 def _lateral(

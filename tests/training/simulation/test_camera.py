@@ -39,6 +39,20 @@ def test_plane_depth_is_analytic_and_nothing_is_above_the_horizon() -> None:
     assert not mask.any()
 
 
+def test_a_table_ends_where_it_is_told_to() -> None:
+    pose = look_at(EYE, (0, 0, 0))
+    nowhere = Shape("ball", Sphere(0.1).shift(z=-9))
+    endless, _ = render(nowhere, pose, CAMERA)
+    table, _ = render(nowhere, pose, CAMERA, table_m=(-0.3, 0.2, -0.1, 0.15))
+    eye, directions = rays(pose, CAMERA)
+    x, y = (eye[axis] + endless * directions[..., axis] for axis in range(2))
+    on = (x >= -0.3) & (x <= 0.2) & (y >= -0.1) & (y <= 0.15)
+    assert 1000 < on.sum() < on.size / 2
+    assert (np.isfinite(table) == on).mean() > 0.9999  # but for rounding along the rim
+    both = np.isfinite(table) & on
+    np.testing.assert_array_equal(table[both], endless[both])
+
+
 def test_a_sphere_has_its_analytic_depth() -> None:
     """Roots of |eye + t·direction − centre|² = r²."""
     centre, radius = np.array([0.02, 0.03, 0.12]), 0.12

@@ -17,6 +17,7 @@ from training.simulation.sensor import (
     incidence_rad,
     lateral_sigma_px,
     sample_sensor,
+    stereo_shadow,
 )
 
 SHAPE = (240, 320)
@@ -135,6 +136,19 @@ def test_holes_fall_on_the_object_and_speckle_has_its_rate() -> None:
     assert on > 10 * off > 0
     speckle = apply_sensor(flat(1.0), np.random.default_rng(7), FOCAL_PX, replace(PERFECT, speckle_dropout=0.01))
     assert np.isnan(speckle).mean() == pytest.approx(0.01, rel=0.15)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_shadow_beside_an_object_is_as_wide_as_the_disparities_differ(side: int) -> None:
+    """f·b·(1/z_near − 1/z_far) = 500 · 0.08 · (1/0.8 − 1/1.0) = 10 pixels, on the second camera's far side."""
+    depth = step(0.8, 1.0)
+    lost = stereo_shadow(depth, side * FOCAL_PX * 0.08)
+    expected = np.zeros(SHAPE, bool)
+    expected[60:180, slice(70, 80) if side > 0 else slice(240, 250)] = True
+    # The rim of the shadow is a question of half a pixel.
+    assert (lost ^ expected).sum() <= 120
+    read = apply_sensor(depth, np.random.default_rng(0), FOCAL_PX, replace(PERFECT, baseline_m=side * 0.08))
+    assert np.array_equal(np.isnan(read), lost)
 
 
 def test_readings_out_of_range_and_missing_ones_stay_missing() -> None:
