@@ -53,7 +53,7 @@ class DeformationGraph(nn.Module):
 
     def forward(self, rest: Tensor, condition: Tensor, noise: Tensor) -> Tensor:
         field, _, _ = self.network(rest, condition, noise)
-        return at_voxels(field)
+        return at_voxels(field, rest)
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def test_the_graph_answers_for_any_number_of_loads_as_torch_does(folders: dict[s
     for loads in (1, 2, 5):
         condition, noise = tiny.conditions(loads), torch.ones(loads, 3)
         with torch.no_grad():
-            expected = at_voxels(network(rest, condition, noise)[0]).numpy()
+            expected = at_voxels(network(rest, condition, noise)[0], rest).numpy()
         (displacement,) = session.run(
             ["displacement"], {"rest": rest.numpy(), "condition": condition.numpy(), "noise": noise.numpy()}
         )

@@ -199,15 +199,21 @@ def sample_field(
     return sampled[:, :, :, 0, 0]
 
 
-def at_voxels(field: Float[Tensor, "loads 3 32 32 32"]) -> Float[Tensor, "loads 3 64 64 64"]:
-    """The field between its nodes, at the centre of every voxel, no longer anywhere than the voxel's height.
+def at_voxels(
+    field: Float[Tensor, "loads 3 32 32 32"], rest: Float[Tensor, "bodies 1 64 64 64"]
+) -> Float[Tensor, "loads 3 64 64 64"]:
+    """The field between its nodes, at the centre of every voxel, held to the clamp on the floor.
 
-    The floor is clamped: a displacement longer than the height above it would stretch the material in between to more
-    than twice its length, and near the floor it would tear the sole off. It also keeps y - u(y) above the floor.
+    The lowest voxels of the body at rest do not move: they lie half a voxel above what is clamped. Elsewhere the
+    displacement is at most the voxel's height, which keeps y - u(y) above the floor.
     """
     fine = functional.interpolate(field, size=(64, 64, 64), mode="trilinear", align_corners=False)
     length = torch.sqrt((fine * fine).sum(dim=1, keepdim=True) + 1e-12)
-    return fine * torch.clamp(cell_centres(64, fine)[2] / length, max=1.0)
+    fine = fine * torch.clamp(cell_centres(64, fine)[2] / length, max=1.0)
+    free = 1.0 - rest[..., :1]
+    if rest.shape[0] > 1:
+        free = free.repeat_interleave(field.shape[0] // rest.shape[0], dim=0)
+    return torch.cat([fine[..., :1] * free, fine[..., 1:]], dim=-1)
 
 
 @torch.no_grad()
@@ -216,6 +222,6 @@ def warp(
 ) -> Float[Tensor, "loads 64 64 64"]:
     """Deformed occupancy by the very lookup that serves; it has no gradient, `sample_field` has."""
     each = field.shape[0] // rest.shape[0]
-    fine = at_voxels(field).numpy()
+    fine = at_voxels(field, rest).numpy()
     bodies = rest[:, 0].numpy() > 0.5
     return torch.from_numpy(np.stack([lookup.warp(bodies[i // each], fine[i]) for i in range(len(fine))]))

@@ -7,6 +7,7 @@ from training.networks.blocks import cell_centres
 from training.networks.deformation import (
     CLAMP_HEIGHT,
     DeformationNetwork,
+    at_voxels,
     condition_planes,
     sample_field,
     warp,
@@ -87,9 +88,23 @@ def test_no_displacement_gives_the_body_back() -> None:
 @pytest.mark.parametrize("shift", [(5, 0, 0), (0, -3, 0), (0, 0, 4), (2, 3, 6)])
 def test_a_constant_displacement_moves_the_body_by_that_many_voxels(shift: tuple[int, int, int]) -> None:
     field = (torch.tensor(shift) / 64.0)[None, :, None, None, None].expand(1, 3, 32, 32, 32).contiguous()
-    moved = warp(body(), field)[0]
-    expected = torch.roll(body()[0, 0], shift, dims=(0, 1, 2))
+    raised = torch.roll(body(), 12, dims=4)  # off the floor, which would hold its sole
+    moved = warp(raised, field)[0]
+    expected = torch.roll(raised[0, 0], shift, dims=(0, 1, 2))
     torch.testing.assert_close(moved, expected, atol=1e-4, rtol=0)
+
+
+def test_the_sole_does_not_move_and_nothing_moves_farther_than_it_is_high() -> None:
+    field = torch.full((2, 3, 32, 32, 32), 0.3)
+    rest = torch.cat([body(), torch.roll(body(), 5, dims=2)])
+    fine = at_voxels(field, rest)
+    sole = rest[:, 0, :, :, 0] > 0.5
+    assert fine[:, :, :, :, 0].abs().amax(dim=1)[sole].max() == 0.0
+    height = (torch.arange(64) + 0.5) / 64
+    longest = fine.norm(dim=1).amax(dim=(0, 1, 2))
+    assert bool((longest <= height + 1e-6).all())
+    # High enough, the field is what the nodes say.
+    torch.testing.assert_close(fine[..., 40:], torch.full((2, 3, 64, 64, 24), 0.3))
 
 
 def test_one_body_serves_all_loads() -> None:
