@@ -46,9 +46,9 @@ class Push:
 
 
 PUSHES = (
-    Push("sugar_box", "silicone", (385, 125), (3.0, 0.0, 2.0)),
-    Push("mug", "silicone", (365, 215), (0.0, 1.5, 6.0)),
-    Push("bowl", "silicone", (260, 225), (5.0, 2.0, 0.0)),
+    Push("sugar_box", "dragon_skin_10", (385, 125), (9.0, 0.0, 4.5)),
+    Push("mug", "dragon_skin_10", (365, 215), (0.0, 6.0, 24.0)),
+    Push("bowl", "dragon_skin_10", (260, 225), (20.0, 6.0, 0.0)),
 )
 
 
