@@ -7,7 +7,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.errors import EmptyObject
-from service.core.grids import Grid, invert_rigid
+from service.core.grids import Grid, centres_seen_from, invert_rigid
 from service.core.lookup import trilinear
 
 HORIZONTAL_FILL = 0.70
@@ -66,12 +66,8 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
     """Trilinear lookup of one grid at the voxel centres of another; zero outside the source."""
     source_from_target = invert_rigid(source.camera_from_grid) @ target.camera_from_grid
-    steps = (np.arange(GRID_SIZE) + 0.5) * (target.pitch_m / source.pitch_m)
-    columns = (source_from_target[:3, :3, None] * steps).astype(np.float32)
-    origin = (source_from_target[:3, 3] / source.pitch_m - 0.5).astype(np.float32)
-    x, y, z = (
-        (columns[axis, 0] + origin[axis])[:, None, None] + columns[axis, 1][:, None] + columns[axis, 2]
-        for axis in range(3)
+    x, y, z = centres_seen_from(
+        source_from_target[:3, :3], target.pitch_m / source.pitch_m, source_from_target[:3, 3] / source.pitch_m - 0.5
     )
     return trilinear(probability, x, y, z)
 

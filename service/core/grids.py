@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
+from jaxtyping import Float32
 
-from service.core.arrays import GRID_SIZE, Occupancy, PackedOccupancy, Points, Transform
+from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, PackedOccupancy, Points, Transform, Vector3
+
+Coordinate: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]
+"""One coordinate of a place for each voxel of a grid."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,24 @@ def transform_points(b_from_a: Transform, points_a: Points) -> Points:
     """Apply a rigid transform to n points."""
     rotation = b_from_a[:3, :3].astype(np.float32)
     return np.asarray(points_a @ rotation.T + b_from_a[:3, 3].astype(np.float32), np.float32)
+
+
+def centres_seen_from(rotation: Matrix3, pitch: float, origin: Vector3) -> tuple[Coordinate, Coordinate, Coordinate]:
+    """Voxel centres of a grid in another frame, one array an axis, from three broadcast sums.
+
+    Args:
+        rotation: Axes of the grid in that frame.
+        pitch: Edge of a voxel in that frame's unit of length.
+        origin: Corner of the grid in that frame.
+    """
+    steps = (np.arange(GRID_SIZE) + 0.5) * pitch
+    columns = (rotation[:, :, None] * steps).astype(np.float32)  # axis of the frame, axis of the grid, step
+    start = origin.astype(np.float32)
+    x, y, z = (
+        (columns[axis, 0] + start[axis])[:, None, None] + columns[axis, 1][:, None] + columns[axis, 2]
+        for axis in range(3)
+    )
+    return x, y, z
 
 
 def pack_bits(occupancy: Occupancy) -> PackedOccupancy:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import cv2
 import numpy as np
 from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
-
-Coordinate: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]
-"""One coordinate of a place for each voxel of the result, in voxels: the centre of voxel i lies at i."""
+from service.core.grids import Coordinate
 
 PADDED = GRID_SIZE + 2
 """One voxel of zeros on every side stands for everything outside the grid."""
@@ -19,6 +15,8 @@ PADDED = GRID_SIZE + 2
 
 def trilinear(field: Probability, x: Coordinate, y: Coordinate, z: Coordinate) -> Probability:
     """Values of a field between its voxel centres; it falls to zero over one voxel outside the grid.
+
+    Places are in voxels: the centre of voxel i lies at i.
 
     The grid is laid out as one tall image, slices of constant x below each other, in which OpenCV looks up the two
     slices on either side, bilinear in y and z and with all cores; the third interpolation is between the two. Weights

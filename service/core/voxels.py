@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 
 from service.core.arrays import GRID_SIZE, DepthImage, Occupancy, Points, Transform, Vector3
 from service.core.camera import Intrinsics, project
-from service.core.grids import Grid, transform_points
+from service.core.grids import Grid, centres_seen_from, transform_points
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -88,7 +88,7 @@ def voxelize_points(points: Points, grid: Grid) -> Occupancy:
 
 def carve_free(depth_m: DepthImage, intrinsics: Intrinsics, grid: Grid) -> Occupancy:
     """Mark the voxels that some ray crossed before it hit: the reading at the centre's pixel lies behind the voxel."""
-    x, y, z = _centres_camera(grid)
+    x, y, z = centres_seen_from(grid.camera_from_grid[:3, :3], grid.pitch_m, grid.camera_from_grid[:3, 3])
     if intrinsics.distortion is None:
         with np.errstate(divide="ignore", invalid="ignore"):
             column = x / z * np.float32(intrinsics.fx) + np.float32(intrinsics.cx)
@@ -130,20 +130,6 @@ def voxelize(
     observed = voxelize_points(points, grid)
     free = carve_free(depth_m, intrinsics, grid) & ~observed
     return VoxelView(grid=grid, observed=observed, free=free)
-
-
-def _centres_camera(
-    grid: Grid,
-) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
-    """Voxel centres in the camera frame, one array an axis, from three broadcast sums."""
-    steps = (np.arange(GRID_SIZE) + 0.5) * grid.pitch_m
-    columns = (grid.camera_from_grid[:3, :3, None] * steps).astype(np.float32)  # camera axis, grid axis, step
-    origin = grid.camera_from_grid[:3, 3].astype(np.float32)
-    x, y, z = (
-        (columns[axis, 0] + origin[axis])[:, None, None] + columns[axis, 1][:, None] + columns[axis, 2]
-        for axis in range(3)
-    )
-    return x, y, z
 
 
 def _slice_along(padded: Bool[np.ndarray, "x y z"], axis: int, start: int) -> Bool[np.ndarray, "_ _ _"]:

@@ -13,9 +13,10 @@ from service.core.arrays import GRID_SIZE, Occupancy, Vector3
 from service.core.condition import POISSON_RATIO_MAX
 from service.core.grids import Grid, pack_bits
 from training.data.generate import Dropped
+from training.metrics import iou
 from training.simulation.body import Body, BodyError
 from training.simulation.families import FAMILIES, sample_shape
-from training.simulation.force_search import force_for_identity_iou, identity_iou
+from training.simulation.force_search import force_for_identity_iou
 from training.simulation.loads import Load, LoadError
 from training.simulation.newton import solve_neo_hookean
 from training.simulation.rasterise import Rasterised, Rasteriser
@@ -155,7 +156,7 @@ def _row(
         "displacement": displacement,
         "coverage": coverage,
         "peak": np.float32(result.peak_displacement),
-        "identity_iou": np.float32(identity_iou(rest, result.deformed)),
+        "identity_iou": np.float32(iou(rest, result.deformed)),
         "law": np.array(law),
         "sample": np.array([number, round(fraction, 4)], np.float32),
     }

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
+from training.metrics import iou
 from training.simulation.loads import Load
 from training.simulation.rasterise import Rasteriser
 
@@ -14,12 +15,6 @@ _STEPS = 12
 _TOLERANCE = 0.01
 _MAX_STRETCH = 0.6
 """Largest displacement in units of L that the search will try; beyond it a body has left the cube."""
-
-
-def identity_iou(rest: Bool[np.ndarray, "x y z"], deformed: Bool[np.ndarray, "x y z"]) -> float:
-    """Intersection over union of undeformed and deformed occupancy; 1 where both are empty."""
-    union = int((rest | deformed).sum())
-    return 1.0 if union == 0 else int((rest & deformed).sum()) / union
 
 
 def force_for_identity_iou(
@@ -48,7 +43,7 @@ def force_for_identity_iou(
     wanted = 1.0 / target - 1.0
     factor = 0.1 / peak
     for _ in range(_STEPS):
-        overlap = identity_iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
+        overlap = iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
         if abs(overlap - target) < _TOLERANCE:
             return replace(load, load_number=load.load_number * factor)
         if overlap > target:

@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 
 from tests.training.simulation.bodies import bridge, column
+from training.metrics import iou
 from training.simulation.body import Body
-from training.simulation.force_search import force_for_identity_iou, identity_iou
+from training.simulation.force_search import force_for_identity_iou
 from training.simulation.loads import Load
 from training.simulation.rasterise import Rasteriser
 from training.simulation.solver import LinearSolver
@@ -19,7 +20,7 @@ def test_the_linear_response_overlaps_as_wanted(target):
     assert found is not None
     fine = Rasteriser(body)
     deformed = fine.occupancy(linear * found.load_number / load.load_number)
-    assert identity_iou(fine.rest, deformed) == pytest.approx(target, abs=0.05)  # voxels of 1/32 see a little less
+    assert iou(fine.rest, deformed) == pytest.approx(target, abs=0.05)  # voxels of 1/32 see a little less
     np.testing.assert_array_equal(found.contact, load.contact)
 
 
@@ -33,5 +34,5 @@ def test_no_force_is_given_where_none_within_the_cube_reaches_the_target():
 
 def test_identity_iou_of_nothing_is_one():
     empty = np.zeros((4, 4, 4), bool)
-    assert identity_iou(empty, empty) == 1.0
-    assert identity_iou(~empty, empty) == 0.0
+    assert iou(empty, empty) == 1.0
+    assert iou(~empty, empty) == 0.0
