@@ -38,23 +38,26 @@ def force_for_identity_iou(
     peak = float(np.linalg.norm(displacement[inner], axis=1).max(initial=0.0))
     if not 0.0 < peak < np.inf:
         return None
-    low, high = 0.0, _MAX_STRETCH / peak
+    limit = _MAX_STRETCH / peak
+    low, high = 0.0, np.inf
     # 1/IoU − 1 grows almost linearly with the force: scale by it, and bisect when that leaves the bracket
     wanted = 1.0 / target - 1.0
     factor = 0.1 / peak
     for _ in range(_STEPS):
         overlap = iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
         if abs(overlap - target) < _TOLERANCE:
-            return replace(load, load_number=load.load_number * factor)
+            break
         if overlap > target:
+            if factor == limit:
+                return None
             low = factor
         else:
             high = factor
         if high - low < 1e-3 * high:
             break
         factor *= wanted / max(1.0 / max(overlap, 1e-3) - 1.0, 1e-3)
+        # where the target seems out of reach, one look at the limit decides
+        factor = min(factor, limit)
         if not low < factor < high:
             factor = 0.5 * (low + high)
-    if high >= _MAX_STRETCH / peak:
-        return None
     return replace(load, load_number=load.load_number * factor)

@@ -1,0 +1,78 @@
+import numpy as np
+import pytest
+
+from tests.training.simulation.bodies import box, bridge, sphere, union, whole_cube
+from training.simulation.rasterise import voxel_centres
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated
+
+SHAPES = {
+    "ball": sphere([0.5, 0.47, 0.42], 0.3),
+    "box off the grid": box([0.511, 0.48, 0.217], [0.203, 0.117, 0.211]),
+    "bridge on the grid": bridge(),
+    "ball on a box": union(box([0.5, 0.5, 0.1], [0.3, 0.3, 0.1]), sphere([0.5, 0.5, 0.3], 0.2)),
+}
+
+
+def plain_fill(distance, cells):
+    """Every octant's 4³ samples asked one by one."""
+    samples = (np.arange(8 * cells) + 0.5) / (8 * cells)
+    points = np.stack(np.meshgrid(samples, samples, samples, indexing="ij"), axis=-1).reshape(-1, 3)
+    inside = (distance(points.astype(np.float32)) < 0).reshape((2 * cells, 4) * 3)
+    return inside.mean(axis=(1, 3, 5))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_fill_is_the_count_of_all_samples(name):
+    np.testing.assert_array_equal(SampledDistance.of(SHAPES[name], 12).octant_fill, plain_fill(SHAPES[name], 12))
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_signs_are_those_of_the_function(name):
+    points = np.random.default_rng(3).random((100_000, 3)).astype(np.float32)
+    sampled = SampledDistance.of(SHAPES[name], 12)
+    np.testing.assert_array_equal(sampled.inside(points), SHAPES[name](points) < 0)
+
+
+def test_only_points_in_doubt_are_asked():
+    asked = []
+
+    def distance(points):
+        asked.append(len(points))
+        return SHAPES["box off the grid"](points)
+
+    sampled = SampledDistance.of(distance, 24)
+    assert sum(asked) < 0.15 * 96**3  # the lattice has 97³ nodes
+    asked.clear()
+    sampled.inside(voxel_centres())
+    assert sum(asked) < 0.005 * 64**3
+
+
+def test_octants_far_from_the_surface_are_settled():
+    sampled = SampledDistance.of(SHAPES["ball"], 12)
+    assert sampled.state[12, 11, 10] == INSIDE
+    assert sampled.state[0, 0, 0] == OUTSIDE
+    assert sampled.state[12, 11, 17] == NEAR  # holds the top of the ball, z = 0.72
+    assert (SampledDistance.of(whole_cube, 4).octant_fill == 1.0).all()
+
+
+def test_interpolation_is_exact_for_quadratics():
+    x, y, z = np.meshgrid(*[np.arange(5) / 4] * 3, indexing="ij")
+
+    def quadratic(x, y, z):
+        return 1 + x - 2 * y * y + 3 * x * z + y * z * z * x * x
+
+    lattice = quadratic(x, y, z)
+    # octant (1, 0, 1) covers [½, 1] × [0, ½] × [½, 1]
+    value = interpolated(lattice.astype(np.float32), 1, 0, 1, 0.2, -0.6, 0.9)
+    assert value == pytest.approx(quadratic(0.5 + 0.3, 0.1, 0.5 + 0.475), rel=1e-6)
+
+
+def test_doubt_bounds_the_error_of_interpolation():
+    """Between the nodes of a ball's octants the interpolated distance is off by less than its doubt."""
+    sampled = SampledDistance.of(SHAPES["ball"], 12)
+    for octant in np.argwhere(sampled.state == NEAR)[::50]:
+        local = np.random.default_rng(0).uniform(-1, 1, (20, 3))
+        points = (octant + 0.5 + 0.5 * local) / 24
+        found = [interpolated(sampled.lattice, *(int(i) for i in octant), *(float(t) for t in row)) for row in local]
+        error = np.abs(np.array(found) - SHAPES["ball"](points.astype(np.float32)))
+        assert error.max() < sampled.doubt[tuple(octant)]

@@ -1,0 +1,208 @@
+"""The inverse of the map of deformed cells: which material point lies at a voxel's centre."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float32, Float64, Int, UInt8
+
+from training.simulation.compiled import compiled
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated
+
+Row: TypeAlias = tuple[float, float, float, float]
+
+_ITERATIONS = 12
+_TOLERANCE = 1e-3
+"""Local coordinates are solved to this part of a cell, 1/400 of a voxel at 24³; voxels at a shared face are kept."""
+_OUTSIDE = 0.75
+"""Local coordinates, measured from the cell's centre, beyond which a voxel is given up as another cell's."""
+_SMALLEST_DETERMINANT = 1e-6
+"""Of a cell, in cubic voxels: one turned inside out has no inverse; the solver reports states that hold one."""
+
+
+@compiled
+def material_points(
+    position: Float64[np.ndarray, "nodes 3"],
+    cell_nodes: Int[np.ndarray, "m 8"],
+    active: Int[np.ndarray, "m 3"],
+    state: UInt8[np.ndarray, "n2 n2 n2"],
+    lattice: Float32[np.ndarray, "n4 n4 n4"],
+    doubt: Float32[np.ndarray, "n2 n2 n2"],
+    deformed: UInt8[np.ndarray, "x y z"],
+    backward: Float32[np.ndarray, "3 _ _ _"],
+) -> None:
+    """Mark every voxel centre whose material point lies in the body, and write how far it has moved.
+
+    The trilinear map of a cell is its value and Jacobian at the centre plus four products of the local coordinates
+    ξ ∈ [−½, ½]³, y = c + A ξ + B (ξη, ηζ, ζξ, ξηζ). The fixed point ξ ← A⁻¹(y − c) − A⁻¹B(ξη, ηζ, ζξ, ξηζ) converges
+    in a few steps because cells are small; voxels that run away belong to another cell.
+
+    Args:
+        position: Deformed nodes, in voxel indices.
+        cell_nodes: Corners 4·dx + 2·dy + dz of every cell.
+        active: Index (i, j, k) of every cell at rest.
+        state: See `SampledDistance`.
+        lattice: See `SampledDistance`.
+        doubt: See `SampledDistance`.
+        deformed: `OUTSIDE` before; written `INSIDE`, or `NEAR` where only the distance itself can tell.
+        backward: Written where not `OUTSIDE`; where it is empty, interpolation tells and nothing is left `NEAR`.
+    """
+    size = deformed.shape[0]
+    edge = 2.0 / state.shape[0]
+    wanted = backward.size > 0
+    bound = 0.5 + _TOLERANCE
+    terms = np.empty((8, 3))
+    inverse = np.empty((3, 3))
+    curved = np.empty((3, 4))
+    reach = np.empty(3)
+    first = np.empty(3, np.int64)
+    last = np.empty(3, np.int64)
+    for cell in range(len(active)):
+        if not _expand(position, cell_nodes[cell], size, terms, first, last):
+            continue
+        if not _invert(terms, inverse, curved):
+            continue
+        for axis in range(3):
+            # the largest shift that the products can make bounds how far outside the affine guess may lie
+            bilinear = abs(curved[axis, 0]) + abs(curved[axis, 1]) + abs(curved[axis, 2])
+            reach[axis] = 0.5 + _TOLERANCE + bilinear / 4.0 + abs(curved[axis, 3]) / 8.0
+        # numbers in registers, where the compiler would have to read an array again after every write
+        xs = (curved[0, 0], curved[0, 1], curved[0, 2], curved[0, 3])
+        ys = (curved[1, 0], curved[1, 1], curved[1, 2], curved[1, 3])
+        zs = (curved[2, 0], curved[2, 1], curved[2, 2], curved[2, 3])
+        for i in range(first[0], last[0] + 1):
+            for j in range(first[1], last[1] + 1):
+                di, dj, dk = i - terms[0, 0], j - terms[0, 1], first[2] - terms[0, 2]
+                # where this row of voxels passes through the affine cell, widened by its curvature
+                start, stop = 0.0, float(last[2] - first[2])
+                for axis in range(3):
+                    value = inverse[axis, 0] * di + inverse[axis, 1] * dj + inverse[axis, 2] * dk
+                    slope = inverse[axis, 2]
+                    if abs(slope) > 1e-12:
+                        middle, half = -value / slope, reach[axis] / abs(slope)
+                        start, stop = max(start, middle - half), min(stop, middle + half)
+                    elif abs(value) > reach[axis]:
+                        stop = -1.0
+                if stop < start:
+                    continue
+                for k in range(first[2] + int(np.ceil(start)), first[2] + int(np.floor(stop)) + 1):
+                    dk = k - terms[0, 2]
+                    u = inverse[0, 0] * di + inverse[0, 1] * dj + inverse[0, 2] * dk
+                    v = inverse[1, 0] * di + inverse[1, 1] * dj + inverse[1, 2] * dk
+                    w = inverse[2, 0] * di + inverse[2, 1] * dj + inverse[2, 2] * dk
+                    settled, x, y, z = _fixed_point(u, v, w, xs, ys, zs)
+                    if not settled or abs(x) > bound or abs(y) > bound or abs(z) > bound:
+                        continue
+                    side = _side(active[cell], x, y, z, state, lattice, doubt, wanted)
+                    # of two cells that meet in a voxel one that is sure of its material decides
+                    if side == OUTSIDE or (side == NEAR and deformed[i, j, k] == INSIDE):
+                        continue
+                    deformed[i, j, k] = side
+                    if wanted:
+                        backward[0, i, j, k] = (i + 0.5) / size - (active[cell, 0] + 0.5 + x) * edge
+                        backward[1, i, j, k] = (j + 0.5) / size - (active[cell, 1] + 0.5 + y) * edge
+                        backward[2, i, j, k] = (k + 0.5) / size - (active[cell, 2] + 0.5 + z) * edge
+
+
+@compiled
+def _expand(
+    position: Float64[np.ndarray, "nodes 3"],
+    nodes: Int[np.ndarray, " 8"],
+    size: int,
+    terms: Float64[np.ndarray, "8 3"],
+    first: Int[np.ndarray, " 3"],
+    last: Int[np.ndarray, " 3"],
+) -> bool:
+    """Coefficients of 1, ξ, η, ζ, ξη, ηζ, ζξ, ξηζ in a cell's map, and the voxels of its bounding box; whether any."""
+    for axis in range(3):
+        low, high = np.inf, -np.inf
+        for term in range(8):
+            terms[term, axis] = 0.0
+        for corner in range(8):
+            value = position[nodes[corner], axis]
+            low, high = min(low, value), max(high, value)
+            # at the corners ξ = ±½: a coefficient of p factors is 2ᵖ times the mean of their signs' products
+            x, y, z = 2.0 * (corner >> 2 & 1) - 1.0, 2.0 * (corner >> 1 & 1) - 1.0, 2.0 * (corner & 1) - 1.0
+            terms[0, axis] += 0.125 * value
+            terms[1, axis] += 0.25 * x * value
+            terms[2, axis] += 0.25 * y * value
+            terms[3, axis] += 0.25 * z * value
+            terms[4, axis] += 0.5 * x * y * value
+            terms[5, axis] += 0.5 * y * z * value
+            terms[6, axis] += 0.5 * z * x * value
+            terms[7, axis] += x * y * z * value
+        if not (low < size and high >= -1.0):  # so that not even a NaN is taken for an index
+            return False
+        first[axis] = int(max(np.ceil(low - _TOLERANCE), 0.0))
+        last[axis] = int(min(np.floor(high + _TOLERANCE), size - 1.0))
+        if last[axis] < first[axis]:
+            return False
+    return True
+
+
+@compiled
+def _invert(
+    terms: Float64[np.ndarray, "8 3"], inverse: Float64[np.ndarray, "3 3"], curved: Float64[np.ndarray, "3 4"]
+) -> bool:
+    """Inverse of the Jacobian at the centre, and that times the bilinear terms; whether the cell is right side out."""
+    for axis in range(3):
+        b, c = (axis + 1) % 3, (axis + 2) % 3
+        # rows of the inverse are cross products of the columns of the Jacobian, whose columns are terms 1 to 3
+        inverse[axis, 0] = terms[1 + b, 1] * terms[1 + c, 2] - terms[1 + b, 2] * terms[1 + c, 1]
+        inverse[axis, 1] = terms[1 + b, 2] * terms[1 + c, 0] - terms[1 + b, 0] * terms[1 + c, 2]
+        inverse[axis, 2] = terms[1 + b, 0] * terms[1 + c, 1] - terms[1 + b, 1] * terms[1 + c, 0]
+    determinant = terms[1, 0] * inverse[0, 0] + terms[1, 1] * inverse[0, 1] + terms[1, 2] * inverse[0, 2]
+    if not determinant > _SMALLEST_DETERMINANT:
+        return False
+    for axis in range(3):
+        for column in range(3):
+            inverse[axis, column] /= determinant
+        for term in range(4):
+            curved[axis, term] = (
+                inverse[axis, 0] * terms[4 + term, 0]
+                + inverse[axis, 1] * terms[4 + term, 1]
+                + inverse[axis, 2] * terms[4 + term, 2]
+            )
+    return True
+
+
+@compiled
+def _fixed_point(u: float, v: float, w: float, xs: Row, ys: Row, zs: Row) -> tuple[bool, float, float, float]:
+    """Local coordinates that solve the trilinear map, from its affine solution, and whether they converged."""
+    x, y, z = u, v, w
+    for _ in range(_ITERATIONS):
+        xy, yz, zx, xyz = x * y, y * z, z * x, x * y * z
+        p = u - xs[0] * xy - xs[1] * yz - xs[2] * zx - xs[3] * xyz
+        q = v - ys[0] * xy - ys[1] * yz - ys[2] * zx - ys[3] * xyz
+        r = w - zs[0] * xy - zs[1] * yz - zs[2] * zx - zs[3] * xyz
+        settled = abs(p - x) < 0.5 * _TOLERANCE and abs(q - y) < 0.5 * _TOLERANCE and abs(r - z) < 0.5 * _TOLERANCE
+        x = min(max(p, -_OUTSIDE), _OUTSIDE)
+        y = min(max(q, -_OUTSIDE), _OUTSIDE)
+        z = min(max(r, -_OUTSIDE), _OUTSIDE)
+        if settled:
+            return True, x, y, z
+    return False, x, y, z
+
+
+@compiled
+def _side(
+    cell: Int[np.ndarray, " 3"],
+    x: float,
+    y: float,
+    z: float,
+    state: UInt8[np.ndarray, "n2 n2 n2"],
+    lattice: Float32[np.ndarray, "n4 n4 n4"],
+    doubt: Float32[np.ndarray, "n2 n2 n2"],
+    cautious: bool,
+) -> int:
+    """Side of the surface on which the point of a cell at local coordinates in [−½, ½]³ lies; `NEAR` where doubtful."""
+    a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
+    i, j, k = 2 * cell[0] + a, 2 * cell[1] + b, 2 * cell[2] + c
+    side = state[i, j, k]
+    if side != NEAR:
+        return int(side)
+    value = interpolated(lattice, i, j, k, 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c)
+    if cautious and abs(value) <= doubt[i, j, k]:
+        return NEAR
+    return INSIDE if value < 0.0 else OUTSIDE
