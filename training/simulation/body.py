@@ -5,27 +5,22 @@ Everything is in units of the cube's edge L: the cube is [0, 1]³, z up, the sup
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int
+import scipy.sparse as sp
+from jaxtyping import Bool, Float64, Int
 from scipy import ndimage
 
-from training.simulation.elements import CORNERS
+from training.simulation.clamp import Bed, Clamp, RigidClamp
+from training.simulation.elements import CORNERS, shape_functions
+from training.simulation.sampled import SampledDistance
 from training.simulation.sparsity import SparsityPattern
-
-Distance: TypeAlias = Callable[[Float32[np.ndarray, "n 3"]], Float32[np.ndarray, " n"]]
-"""Signed distance to a surface, negative inside, for points in cube coordinates."""
+from training.simulation.surface import Distance, project_to_surface
 
 MIN_FILL = 0.01
 """Cells holding less material than this are left out: they add stiffness to nothing that a 64³ grid can show."""
-SUBSAMPLES = 4
-"""Sample points along each edge of an octant that the surface may cross."""
-CLAMP_REACH = 0.5
-"""A node on the support plane is clamped where the surface passes within this many cell edges of it."""
 
 
 class BodyError(ValueError):
@@ -34,6 +29,9 @@ class BodyError(ValueError):
     def __init__(self, reason: str, message: str) -> None:
         super().__init__(message)
         self.reason = reason
+
+
+_ON_THE_GROUND = Clamp()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +45,8 @@ class Body:
         octant_fill: Part of each octant of each active cell that holds material, in [0, 1]; octant 4·dx + 2·dy + dz.
         node_grid: Grid position (i, j, k) of every node of an active cell, from 0 to `cells`.
         cell_nodes: Node number of each corner of each active cell, corner 4·dx + 2·dy + dz.
-        clamped: Which nodes are held.
+        clamped: Which nodes are held rigidly; none where an elastic bed holds the body.
+        foundation: Stiffness of that bed between nodes, the same along all three axes, in units of E L.
     """
 
     distance: Distance
@@ -57,60 +56,59 @@ class Body:
     node_grid: Int[np.ndarray, "nodes 3"]
     cell_nodes: Int[np.ndarray, "m 8"]
     clamped: Bool[np.ndarray, " nodes"]
+    foundation: sp.csr_array
     _cell_of_grid: Int[np.ndarray, "n n n"] = field(repr=False)
 
     @classmethod
-    def from_distance(cls, distance: Distance, cells: int = 24) -> Body:
-        """Fill a grid of cells³ cells from a signed distance function.
+    def from_distance(cls, distance: Distance, cells: int = 24, clamp: Clamp | RigidClamp = _ON_THE_GROUND) -> Body:
+        """Fill a grid of cells³ cells from a signed distance function, and hold it.
 
         Raises:
-            BodyError: nothing is inside, nothing touches the support plane, or the shape leaves the cube.
+            BodyError: nothing is inside (`empty`), nothing or too little touches the support plane (`not_standing`) or
+                the clamp's region (`clamp_off_body`), or a part is not connected to what is held (`disconnected`).
         """
-        fill = octant_fill(distance, cells)
-        return cls.from_fill(distance, fill)
+        sampled = SampledDistance.of(distance, cells)
+        return cls.from_fill(sampled, sampled.octant_fill, clamp)
 
     @classmethod
-    def from_fill(cls, distance: Distance, fill: Float64[np.ndarray, "n2 n2 n2"]) -> Body:
+    def from_fill(
+        cls, distance: Distance, fill: Float64[np.ndarray, "n2 n2 n2"], clamp: Clamp | RigidClamp = _ON_THE_GROUND
+    ) -> Body:
         """Number the nodes of a grid of octant fill fractions with two octants along each edge of a cell."""
         n = fill.shape[0] // 2
         octants = fill.reshape(n, 2, n, 2, n, 2).transpose(0, 2, 4, 1, 3, 5).reshape(n, n, n, 8)
         solid = octants.mean(axis=3) >= MIN_FILL
         if not solid.any():
             raise BodyError("empty", "no cell holds material: the shape lies outside the cube or is too thin")
-        plane = np.stack(np.meshgrid(np.arange(n + 1), np.arange(n + 1), [0], indexing="ij"), axis=-1).reshape(-1, 3)
-        ground = (distance((plane / n).astype(np.float32)) < CLAMP_REACH / n).reshape(n + 1, n + 1)
+        hold = _Hold.of(clamp, distance, n)
         # islands that touch the rest only along an edge or a corner, or not at all, are not held by anything
         labels, count = ndimage.label(solid)
-        touched = ground[:-1, :-1] | ground[1:, :-1] | ground[:-1, 1:] | ground[1:, 1:]
-        standing = np.unique(labels[:, :, 0][touched & solid[:, :, 0]])
-        standing = standing[standing > 0]
-        if len(standing) == 0:
-            raise BodyError("not_standing", "the shape does not touch the support plane z = 0")
-        if count > len(standing):
-            kept = np.isin(labels, standing)
+        held = np.unique(labels[hold.cells & solid])
+        if len(held) == 0:
+            raise hold.error("no part of the shape does")
+        if count > len(held):
+            kept = np.isin(labels, held)
             lost = float(octants[solid & ~kept].sum() / octants[solid].sum())
             if lost > 0.01:
-                raise BodyError("disconnected", f"{lost:.0%} of the shape is not connected to the support plane")
+                raise BodyError("disconnected", f"{lost:.0%} of the shape is not connected to what is held")
             solid = kept
         active = np.argwhere(solid)
         corners = active[:, None, :] + CORNERS[None]
         flat = np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), (n + 1,) * 3)
         used, cell_nodes = np.unique(flat, return_inverse=True)
-        node_grid = np.stack(np.unravel_index(used, (n + 1,) * 3), axis=1)
-        clamped = (node_grid[:, 2] == 0) & ground[node_grid[:, 0], node_grid[:, 1]]
-        if clamped.sum() < 3:
-            raise BodyError("not_standing", "the shape touches the support plane in fewer than three nodes")
         cell_of_grid = np.full((n, n, n), -1)
         cell_of_grid[solid] = np.arange(len(active))
-        weights = octants[solid].T.astype(np.float64)
+        node_grid = np.stack(np.unravel_index(used, (n + 1,) * 3), axis=1)
+        cell_nodes = cell_nodes.reshape(-1, 8)
         return cls(
             distance=distance,
             cells=n,
             active=active,
-            octant_fill=weights,
+            octant_fill=octants[solid].T.astype(np.float64),
             node_grid=node_grid,
-            cell_nodes=cell_nodes.reshape(-1, 8),
-            clamped=clamped,
+            cell_nodes=cell_nodes,
+            clamped=hold.clamped(node_grid),
+            foundation=hold.foundation(cell_of_grid, cell_nodes, len(used)),
             _cell_of_grid=cell_of_grid,
         )
 
@@ -149,6 +147,11 @@ class Body:
         """Where the element matrices go in the global one."""
         return SparsityPattern.of(self.cell_nodes, self.clamped)
 
+    @cached_property
+    def foundation_values(self) -> Float64[np.ndarray, " nonzeros"]:
+        """The foundation on the entries of `pattern`."""
+        return self.pattern.spread(self.foundation, self.clamped)
+
     def locate(self, points: Float64[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
         """Active cell of each point (−1 where there is none) and its local coordinates in [0, 1]³."""
         scaled = points * self.cells
@@ -168,6 +171,17 @@ class Body:
         for axis in range(3):
             nodal[:, axis] = np.bincount(index, weights=element[axis::3].ravel(), minlength=self.nodes)
         return nodal
+
+    def clamp_forces(
+        self, displacements: Float64[np.ndarray, "nodes 3"], unbalanced: Float64[np.ndarray, "nodes 3"]
+    ) -> Float64[np.ndarray, "nodes 3"]:
+        """Nodal forces of the clamp on the body.
+
+        Args:
+            displacements: Of all nodes.
+            unbalanced: Internal less applied forces; what they are at rigid nodes is the clamp's doing.
+        """
+        return np.asarray(np.where(self.clamped[:, None], unbalanced, -(self.foundation @ displacements)))
 
     def surface_points(
         self, count: int, rng: np.random.Generator
@@ -203,45 +217,58 @@ class Body:
         return np.abs(self.distance(centres.astype(np.float32))) < 1.2 * self.cell_edge
 
 
-def octant_fill(distance: Distance, cells: int) -> Float64[np.ndarray, "n2 n2 n2"]:
-    """Part of each of the (2·cells)³ octants that lies inside, by counting sample points.
+@dataclass(frozen=True)
+class _Hold:
+    """A clamp on a grid of n³ cells: the cells it touches, and what it adds to their nodes."""
 
-    Octants whose corners and centre agree and lie farther away than half a diagonal are settled at once.
-    """
-    n = 2 * cells
-    edge = 1.0 / n
-    axis = (np.arange(n, dtype=np.float32) + 0.5) * np.float32(edge)
-    centres = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    value = distance(centres)
-    fill = (value < 0).astype(np.float64)
-    # 1.2 times the half diagonal: a margin for functions that are only nearly distances
-    near = np.flatnonzero(np.abs(value) < 1.2 * 0.5 * np.sqrt(3.0) * edge)
-    offset = ((np.arange(SUBSAMPLES, dtype=np.float32) + 0.5) / SUBSAMPLES - 0.5) * np.float32(edge)
-    offsets = np.stack(np.meshgrid(offset, offset, offset, indexing="ij"), axis=-1).reshape(-1, 3)
-    for block in np.array_split(near, max(1, len(near) // 4096)):
-        samples = (centres[block][:, None] + offsets[None]).reshape(-1, 3)
-        fill[block] = (distance(samples) < 0).reshape(len(block), SUBSAMPLES**3).mean(axis=1)
-    return fill.reshape(n, n, n)
+    clamp: Clamp | RigidClamp
+    distance: Distance
+    cells: Bool[np.ndarray, "n n n"]
+    bed: Bed
+
+    @classmethod
+    def of(cls, clamp: Clamp | RigidClamp, distance: Distance, n: int) -> _Hold:
+        touched = np.zeros((n, n, n), bool)
+        if isinstance(clamp, Clamp):
+            bed = clamp.bed(distance, n)
+            touched[tuple(_cell_index(bed.points, n).T)] = True
+        else:
+            bed = Bed(np.empty((0, 3)), np.empty(0))
+            plane = np.stack(np.meshgrid(np.arange(n + 1), np.arange(n + 1), [0], indexing="ij"), axis=-1)
+            ground = clamp.nodes(distance, plane.reshape(-1, 3), n).reshape(n + 1, n + 1)
+            touched[:, :, 0] = ground[:-1, :-1] | ground[1:, :-1] | ground[:-1, 1:] | ground[1:, 1:]
+        return cls(clamp, distance, touched, bed)
+
+    def clamped(self, node_grid: Int[np.ndarray, "nodes 3"]) -> Bool[np.ndarray, " nodes"]:
+        if isinstance(self.clamp, Clamp):
+            return np.zeros(len(node_grid), bool)
+        held = self.clamp.nodes(self.distance, node_grid, len(self.cells))
+        if held.sum() < 3:
+            raise self.error("fewer than three nodes do")
+        return held
+
+    def foundation(
+        self, cell_of_grid: Int[np.ndarray, "n n n"], cell_nodes: Int[np.ndarray, "m 8"], nodes: int
+    ) -> sp.csr_array:
+        n = len(cell_of_grid)
+        index = _cell_index(self.bed.points, n)
+        cell = cell_of_grid[tuple(index.T)]
+        good = cell >= 0
+        if isinstance(self.clamp, Clamp) and not Bed(self.bed.points[good], self.bed.stiffness[good]).holds:
+            raise self.error("too little of the shape does to keep it from turning")
+        shape = shape_functions((self.bed.points * n - index)[good])
+        touched, group = np.unique(cell[good], return_inverse=True)
+        blocks = np.zeros((len(touched), 8, 8))
+        np.add.at(blocks, group, self.bed.stiffness[good, None, None] * shape[:, :, None] * shape[:, None, :])
+        row = np.repeat(cell_nodes[touched], 8, axis=1).ravel()
+        column = np.tile(cell_nodes[touched], (1, 8)).ravel()
+        return sp.coo_array((blocks.ravel(), (row, column)), shape=(nodes, nodes)).tocsr()
+
+    def error(self, what: str) -> BodyError:
+        if isinstance(self.clamp, Clamp) and self.clamp.region is not None:
+            return BodyError("clamp_off_body", f"the clamp's region must hold a patch of the surface: {what}")
+        return BodyError("not_standing", f"the shape must touch the support plane z = 0: {what}")
 
 
-def surface_gradient(distance: Distance, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-    """Gradient of a signed distance by central differences, float32-safe step."""
-    step = 1e-3
-    shifts = np.concatenate([step * np.eye(3), -step * np.eye(3)])
-    samples = (points[None] + shifts[:, None]).reshape(-1, 3).astype(np.float32)
-    value = distance(samples).astype(np.float64).reshape(6, -1)
-    return np.asarray(((value[:3] - value[3:]) / (2.0 * step)).T)
-
-
-def project_to_surface(
-    distance: Distance, points: Float64[np.ndarray, "n 3"], steps: int = 3
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
-    """Nearest points on the surface by Newton's method along the gradient, and outward unit normals there."""
-    projected = points.copy()
-    for _ in range(steps):
-        gradient = surface_gradient(distance, projected)
-        value = distance(projected.astype(np.float32)).astype(np.float64)
-        projected -= gradient * (value / np.maximum((gradient**2).sum(axis=1), 1e-6))[:, None]
-    gradient = surface_gradient(distance, projected)
-    normal = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
-    return projected, normal
+def _cell_index(points: Float64[np.ndarray, "k 3"], n: int) -> Int[np.ndarray, "k 3"]:
+    return np.clip(np.floor(points * n).astype(np.int64), 0, n - 1)

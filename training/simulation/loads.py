@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64
 
 from service.core.arrays import Vector3
-from training.simulation.body import Body, project_to_surface, surface_gradient
+from training.simulation.body import Body
 from training.simulation.elements import GAUSS_POINTS, shape_functions
+from training.simulation.surface import surface_gradient, surface_quadrature
 
 PATCH_RADIUS = 0.1
 """Default patch radius in units of L; a point load in three dimensions diverges under refinement."""
@@ -38,27 +40,32 @@ class Load:
     patch_radius: float = PATCH_RADIUS
 
 
-def nodal_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
-    """Work-equivalent nodal forces of a load; they sum to Λ·direction exactly.
+def nodal_forces(body: Body, loads: Load | Sequence[Load]) -> Float64[np.ndarray, "nodes 3"]:
+    """Work-equivalent nodal forces of a load, or of several that act together.
+
+    Raises:
+        LoadError: no material lies under a patch.
+    """
+    if isinstance(loads, Load):
+        return _patch_forces(body, loads)
+    return np.asarray(sum((_patch_forces(body, load) for load in loads), np.zeros((body.nodes, 3))))
+
+
+def _patch_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
+    """Nodal forces of one load; they sum to Λ·direction exactly.
 
     The surface integral is taken over points of a fine lattice that lie in a thin shell around the surface, projected
     onto it. Only the side of a thin member that faces the contact carries traction: the outward normal there must have
     a positive component along the normal at the contact.
-
-    Raises:
-        LoadError: no material lies under the patch.
     """
     spacing = min(0.25 * body.cell_edge, load.patch_radius / 10.0)
     reach = np.arange(-load.patch_radius, load.patch_radius + spacing, spacing)
     lattice = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
     points = load.contact + lattice[(lattice**2).sum(axis=1) < load.patch_radius**2]
-    value = np.abs(body.distance(points.astype(np.float32)).astype(np.float64))
-    points, value = points[value < 1.5 * spacing], value[value < 1.5 * spacing]
-    points, normals = project_to_surface(body.distance, points, steps=1)
+    points, normals, area = surface_quadrature(body.distance, points, spacing)
     outward = surface_gradient(body.distance, load.contact[None])[0]
     squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
-    # hat-shaped shell weight: an even, second-order quadrature of the surface integral
-    weight = np.clip(1.0 - squared, 0.0, None) ** 2 * (1.0 - value / (1.5 * spacing))
+    weight = np.clip(1.0 - squared, 0.0, None) ** 2 * area
     weight *= normals @ outward > 0.0
     # a hair below the surface, so that a face lying on a cell boundary belongs to the cell with the material
     cell, local = body.locate(points - 1e-4 * body.cell_edge * normals)

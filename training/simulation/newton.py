@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float64
 
+from training.simulation.clamp import Reaction
 from training.simulation.factor import NotPositiveDefinite
 from training.simulation.loads import Load, nodal_forces
+from training.simulation.solution import Solution
 from training.simulation.solver import CondensedFactor, LinearSolver
 
 MAX_ITERATIONS = 40
@@ -29,41 +31,6 @@ _GIVE_UP_AFTER = 4
 """Steps after which an iterate below the smallest allowed Jacobian has never been seen to recover."""
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """An equilibrium state, or the reason why there is none.
-
-    Attributes:
-        displacement: Nodal displacements in units of L; of the last iterate where not converged.
-        parameters: Internal parameters of the cells that belong to it.
-        fraction: Part of the full load that this step carries.
-        load: The load of this step; None where forces were given instead of a load.
-        converged: Whether `reason` is None.
-        reason: None, or `not_converged`, `inverted`, `left_cube`.
-        iterations: Newton iterations of this step.
-        residual: Norm of the unbalanced nodal forces over that of the load.
-        smallest_jacobian: Smallest volume ratio at any Gauss point.
-        strain_energy: In units of E L³.
-        peak_displacement: Largest displacement of a node of a cell at least half full, in units of L.
-    """
-
-    displacement: Float64[np.ndarray, "nodes 3"]
-    parameters: Float64[np.ndarray, "internal cells"]
-    fraction: float
-    load: Load | None
-    reason: str | None
-    iterations: int
-    residual: float
-    smallest_jacobian: float
-    strain_energy: float
-    peak_displacement: float
-
-    @property
-    def converged(self) -> bool:
-        """Whether this is an equilibrium state that may be used."""
-        return self.reason is None
-
-
 @dataclass
 class _State:
     """One iterate: its displacement over the free degrees of freedom, potential, residual and smallest Jacobian."""
@@ -77,20 +44,24 @@ class _State:
 
 def solve_neo_hookean(
     solver: LinearSolver,
-    load: Load,
+    loads: Load | Sequence[Load],
     fractions: Sequence[float] = (1 / 3, 2 / 3, 1.0),
     tolerance: float = TOLERANCE,
 ) -> list[Solution]:
-    """Follow a load up to its full value; every step is a converged state of its own.
+    """Follow a load, or several that act together, up to the full value; every step is a converged state of its own.
 
     Stops after the first step that fails, whose reason is in the last entry of the list, so that the list may be
     shorter than `fractions`.
 
     Raises:
-        LoadError: the load touches no material.
+        LoadError: a load touches no material.
     """
-    steps = follow_forces(solver, nodal_forces(solver.body, load), fractions, tolerance)
-    return [replace(step, load=replace(load, load_number=load.load_number * step.fraction)) for step in steps]
+    together = (loads,) if isinstance(loads, Load) else tuple(loads)
+    steps = follow_forces(solver, nodal_forces(solver.body, together), fractions, tolerance)
+    return [
+        replace(step, loads=tuple(replace(load, load_number=load.load_number * step.fraction) for load in together))
+        for step in steps
+    ]
 
 
 def follow_forces(
@@ -99,7 +70,7 @@ def follow_forces(
     fractions: Sequence[float] = (1 / 3, 2 / 3, 1.0),
     tolerance: float = TOLERANCE,
 ) -> list[Solution]:
-    """As `solve_neo_hookean`, for any dead nodal forces: several loads at once, or the body's own weight."""
+    """As `solve_neo_hookean`, for any dead nodal forces, such as the body's own weight."""
     problem = _Problem(solver, forces)
     linear = problem.preconditioner.solve(problem.force)
     solutions: list[Solution] = []
@@ -113,8 +84,8 @@ def follow_forces(
         else:
             slope = (free - before) / (reached - reached_before)
             guesses = [free + (fraction - reached) * slope]
-        state, iterations, residual = problem.equilibrium(fraction, [*guesses, free], tolerance)
-        solution = problem.solution(state, fraction, iterations, residual, tolerance)
+        state, residuals = problem.equilibrium(fraction, [*guesses, free], tolerance)
+        solution = problem.solution(state, fraction, residuals, tolerance)
         solutions.append(solution)
         if not solution.converged:
             break
@@ -147,14 +118,17 @@ class _Problem:
         self.count = len(solver.body.free_dof)
         self.cells = len(solver.body.active)
         # the unknowns are the free displacements and, behind them, the internal parameters of the cells
+        self.applied = force
         self.force = np.zeros(self.count + solver.element.internal * self.cells)
         self.force[: self.count] = force.reshape(-1)[self.body.free_dof]
         self.preconditioner = CondensedFactor(solver.body, solver.factor, solver.tangent)
 
     def equilibrium(
         self, fraction: float, guesses: Sequence[Float64[np.ndarray, " dof"]], tolerance: float
-    ) -> tuple[_State, int, float]:
+    ) -> tuple[_State, list[float]]:
         """Minimise the potential at a fraction of the load from the guess of least potential; the last must be safe.
+
+        Returns the state and the residual before the first and after every iteration.
 
         Limited-memory BFGS on top of a Cholesky factor: a step costs one evaluation and one solve, about a tenth of a
         Newton step. Where that converges too slowly the tangent is factorised afresh, which is a Newton step.
@@ -169,15 +143,15 @@ class _Problem:
         scale = float(np.linalg.norm(force)) or 1.0
         history = [float(np.linalg.norm(state.residual)) / scale]
         pairs: list[_Pair] = []
-        iterations = refactored = since = 0
-        while history[-1] > tolerance and iterations < MAX_ITERATIONS:
+        refactored = since = 0
+        while history[-1] > tolerance and len(history) <= MAX_ITERATIONS:
             if refactored < MAX_REFACTORED and since >= 2 and _left(history[-3:], tolerance) > _REFACTOR_COST:
                 self.refactor(state)
                 pairs.clear()
                 refactored, since = refactored + 1, 0
             step = -self._inverse_product(pairs, state.residual)
             moved = self._line_search(state, step, force)
-            iterations, since = iterations + 1, since + 1
+            since += 1
             if moved is None:
                 if refactored == MAX_REFACTORED or (since == 1 and refactored > 0):
                     break
@@ -192,9 +166,9 @@ class _Problem:
                 del pairs[:-_MEMORY]
             state = moved
             history.append(float(np.linalg.norm(state.residual)) / scale)
-            if state.smallest_jacobian < MIN_JACOBIAN and iterations >= _GIVE_UP_AFTER:
+            if state.smallest_jacobian < MIN_JACOBIAN and len(history) > _GIVE_UP_AFTER:
                 break
-        return state, iterations, history[-1]
+        return state, history
 
     def refactor(self, state: _State) -> None:
         """Factorise the tangent at a state, shifted towards the stiffness at rest until it is positive definite."""
@@ -217,10 +191,13 @@ class _Problem:
         energy = float(element.energy.sum())
         if not np.isfinite(energy):
             return _State(free, np.inf, np.inf, np.full_like(free, np.inf), element.smallest_jacobian)
+        nodal = self.nodal(free)
+        hold = self.body.foundation @ nodal
         residual = np.empty_like(free)
-        residual[: self.count] = self.body.scatter(element.forces).reshape(-1)[self.body.free_dof]
+        residual[: self.count] = (self.body.scatter(element.forces) + hold).reshape(-1)[self.body.free_dof]
         residual[self.count :] = element.internal_forces.ravel()
-        return _State(free, energy - float(force @ free), energy, residual - force, element.smallest_jacobian)
+        potential = energy + 0.5 * float((nodal * hold).sum()) - float(force @ free)
+        return _State(free, potential, energy, residual - force, element.smallest_jacobian)
 
     def split(
         self, free: Float64[np.ndarray, " dof"]
@@ -234,29 +211,33 @@ class _Problem:
         full[self.body.free_dof] = free[: self.count]
         return full.reshape(-1, 3)
 
-    def solution(self, state: _State, fraction: float, iterations: int, residual: float, tolerance: float) -> Solution:
+    def solution(self, state: _State, fraction: float, residuals: Sequence[float], tolerance: float) -> Solution:
         """Judge a state and record it."""
         nodal = self.nodal(state.free)
         inner = np.unique(self.body.cell_nodes[self.body.fill >= 0.5])
         moved = self.body.node_positions[inner] + nodal[inner]
         reason = None
-        if residual > tolerance:
+        if residuals[-1] > tolerance:
             reason = "not_converged"
         elif state.smallest_jacobian < MIN_JACOBIAN:
             reason = "inverted"
         elif moved.size and (moved.min() < -self.body.cell_edge or moved.max() > 1.0):
             reason = "left_cube"
+        element = self.solver.element.evaluate(*self.split(state.free))
+        unbalanced = self.body.scatter(element.forces) - fraction * self.applied
         return Solution(
             displacement=nodal,
             parameters=self.split(state.free)[1],
             fraction=fraction,
-            load=None,
+            loads=(),
             reason=reason,
-            iterations=iterations,
-            residual=residual,
+            iterations=len(residuals) - 1,
+            residual=residuals[-1],
+            residuals=tuple(residuals),
             smallest_jacobian=state.smallest_jacobian,
             strain_energy=state.energy,
             peak_displacement=float(np.linalg.norm(nodal[inner], axis=1).max(initial=0.0)),
+            reaction=Reaction.of(self.body.clamp_forces(nodal, unbalanced), self.body.node_positions + nodal),
         )
 
     def _inverse_product(

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from jaxtyping import Float64
 
 from training.simulation.body import Body
+from training.simulation.clamp import Reaction
 from training.simulation.elements import PAIRS_24, Element, ElementTangent, MeanDilatationHexahedron
 from training.simulation.factor import Factor, factorise
 from training.simulation.loads import Load, nodal_forces
@@ -48,13 +49,14 @@ class LinearSolver:
         return factorise(self.stiffness, self._backend)
 
     def assemble(self, element: Float64[np.ndarray, "300 m"]) -> sp.csr_array:
-        """Upper triangle of the global matrix over the free degrees of freedom."""
+        """Upper triangle of the global matrix over the free degrees of freedom, the foundation's included."""
         pattern = self.body.pattern
         size = len(self.body.free_dof)
-        return sp.csr_array((pattern.assemble(element), pattern.indices, pattern.indptr), shape=(size, size))
+        values = pattern.assemble(element) + self.body.foundation_values
+        return sp.csr_array((values, pattern.indices, pattern.indptr), shape=(size, size))
 
-    def solve(self, loads: Sequence[Load]) -> Float64[np.ndarray, "m nodes 3"]:
-        """Nodal displacements of every load, in units of L.
+    def solve(self, loads: Sequence[Load | Sequence[Load]]) -> Float64[np.ndarray, "m nodes 3"]:
+        """Nodal displacements of every load, or of every group of loads that act together, in units of L.
 
         Raises:
             LoadError: a load touches no material.
@@ -68,8 +70,15 @@ class LinearSolver:
         displacements[:, free] = self.factor.solve(forces.reshape(len(forces), -1)[:, free].T).T
         return displacements.reshape(len(forces), self.body.nodes, 3)
 
-    def reactions(self, displacements: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "nodes 3"]:
-        """Internal nodal forces K u: the applied load at free nodes, minus it at clamped ones."""
+    def reaction(
+        self, displacements: Float64[np.ndarray, "nodes 3"], forces: Float64[np.ndarray, "nodes 3"]
+    ) -> Reaction:
+        """What the clamp does to the body: minus the sum of the forces, about the positions at rest."""
+        nodal = self.body.clamp_forces(displacements, self.internal_forces(displacements) - forces)
+        return Reaction.of(nodal, self.body.node_positions)
+
+    def internal_forces(self, displacements: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "nodes 3"]:
+        """Nodal forces K u of the strained body: in equilibrium those of the loads and of the clamp."""
         stiffness = self.tangent.stiffness
         full = np.zeros((24, 24, stiffness.shape[1]))
         full[PAIRS_24] = stiffness

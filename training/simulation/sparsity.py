@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from jaxtyping import Bool, Float64, Int
 
 from training.simulation.elements import PAIRS_24
@@ -68,3 +69,20 @@ class SparsityPattern:
         """Values of the global matrix from the element matrices."""
         count = len(self.indices)
         return np.bincount(self.position, weights=element.ravel(), minlength=count + 1)[:count]
+
+    def spread(self, scalar: sp.csr_array, clamped: Bool[np.ndarray, " nodes"]) -> Float64[np.ndarray, " nonzeros"]:
+        """Values of a matrix that couples nodes of one cell, each axis to itself by the same number.
+
+        Args:
+            scalar: Symmetric, over all nodes.
+            clamped: As given to `of`.
+        """
+        free = np.flatnonzero(~clamped)
+        upper = sp.triu(scalar[free][:, free], format="coo")
+        size = len(self.indptr) - 1
+        keys = np.repeat(np.arange(size), np.diff(self.indptr)) * size + self.indices
+        values = np.zeros(len(self.indices))
+        for axis in range(3):
+            wanted = (3 * upper.row.astype(np.int64) + axis) * size + 3 * upper.col + axis
+            values[np.searchsorted(keys, wanted)] += upper.data
+        return values

@@ -4,9 +4,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from training.simulation.body import Body, Distance
+from training.simulation.body import Body
 from training.simulation.elements import PAIRS_24, MeanDilatationHexahedron
 from training.simulation.enhanced import EnhancedHexahedron
+from training.simulation.surface import Distance
 
 
 def box(center, half) -> Distance:

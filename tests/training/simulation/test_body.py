@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from tests.training.simulation.bodies import box, bridge, column, sphere, union
-from training.simulation.body import Body, BodyError, octant_fill, project_to_surface
+from tests.training.simulation.bodies import bridge, column, sphere, union
+from training.simulation.body import Body, BodyError
+from training.simulation.sampled import octant_fill
 
 
 def test_fill_fractions_give_the_volume_of_a_sphere():
@@ -21,21 +22,6 @@ def test_node_numbers_point_at_their_own_corner():
     for local in (0, 3, 5, 7):
         corner = body.active + np.array([local >> 2 & 1, local >> 1 & 1, local & 1])
         np.testing.assert_array_equal(body.node_grid[body.cell_nodes[:, local]], corner)
-
-
-def test_only_nodes_under_the_feet_are_clamped():
-    body = Body.from_distance(bridge(), 12)
-    clamped = body.node_positions[body.clamped]
-    assert len(clamped) == 2 * 3 * 5
-    assert (clamped[:, 2] == 0).all()
-    assert np.abs(np.abs(clamped[:, 0] - 0.5) - 0.25).max() <= 1 / 12 + 1e-12
-
-
-def test_a_round_bottom_is_not_clamped_beyond_its_contact():
-    body = Body.from_distance(sphere([0.5, 0.5, 0.299], 0.3), 24)
-    reach = np.hypot(*(body.node_positions[body.clamped, :2] - 0.5).T)
-    # the sphere rises half a cell above the plane at sqrt(2 r h/2) = 0.11
-    assert reach.max() < 0.13
 
 
 @pytest.mark.parametrize(
@@ -66,13 +52,6 @@ def test_surface_points_are_spread_by_area():
     body = Body.from_distance(column(0.4, 0.4), 20)
     points, _ = body.surface_points(4000, np.random.default_rng(5))
     assert (points[:, 2] > 0.2).mean() == pytest.approx((4 * 0.2 + 0.4) / (4 * 0.38 + 0.4), abs=0.04)
-
-
-def test_projection_reaches_a_box_face():
-    points = np.array([[0.5, 0.5, 0.63], [0.71, 0.4, 0.2]])
-    projected, normal = project_to_surface(box([0.5, 0.5, 0.3], [0.2, 0.2, 0.3]), points)
-    np.testing.assert_allclose(projected, [[0.5, 0.5, 0.6], [0.7, 0.4, 0.2]], atol=1e-5)
-    np.testing.assert_allclose(normal, [[0, 0, 1], [1, 0, 0]], atol=1e-3)
 
 
 def test_locate_gives_cell_and_local_coordinates():

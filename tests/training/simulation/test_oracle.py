@@ -8,6 +8,7 @@ import scipy.sparse as sp
 
 from tests.training.simulation.bodies import ELEMENTS, box, bridge, column, union
 from training.simulation.body import Body
+from training.simulation.clamp import RigidClamp
 from training.simulation.elements import MeanDilatationHexahedron
 from training.simulation.factor import factorise
 from training.simulation.loads import self_weight
@@ -51,7 +52,7 @@ def at_vertices(solution, basis):
 def test_without_lateral_contraction_both_are_the_same_element(name):
     """At ν = 0 the λ part vanishes and the mean-dilatation element is the plain trilinear one: equal to 1e-9."""
     weight = np.array([0.3, 0.2, -1.0])
-    body = Body.from_distance(SHAPES[name], 12)
+    body = Body.from_distance(SHAPES[name], 12, RigidClamp())
     ours = LinearSolver(body, 0.0, MeanDilatationHexahedron).solve_forces(self_weight(body, weight)[None])[0]
     theirs = skfem_displacement(SHAPES[name], 12, skfem.ElementHex1(), 0.0, weight)
     points, expected = at_vertices(*theirs)
@@ -77,7 +78,7 @@ def largest_error(ours, theirs, body):
 def test_displacements_agree_with_quadratic_elements(name, element):
     """Within 3 % of triquadratic hexahedra everywhere, with four cells to a member."""
     weight = np.array([1.0, 0.3, -0.5])
-    body = Body.from_distance(SHAPES[name], 24)
+    body = Body.from_distance(SHAPES[name], 24, RigidClamp())
     ours = LinearSolver(body, 0.3, element).solve_forces(self_weight(body, weight)[None])[0]
     theirs = quadratic(name, 12, 0.3)
     assert largest_error(ours, theirs, body) < 0.03
@@ -87,7 +88,7 @@ def test_displacements_agree_with_quadratic_elements(name, element):
 @pytest.mark.parametrize("name", ["column", pytest.param("bridge", marks=pytest.mark.slow)])
 def test_nearly_incompressible_bodies_agree_with_quadratic_elements(name, element):
     """Within 3 % at ν = 0.49: no locking. Quadratic elements half as fine are off by 5 % themselves."""
-    body = Body.from_distance(SHAPES[name], 24)
+    body = Body.from_distance(SHAPES[name], 24, RigidClamp())
     ours = LinearSolver(body, 0.49, element).solve_forces(self_weight(body, np.array([1.0, 0.3, -0.5]))[None])[0]
     assert largest_error(ours, quadratic(name, 24, 0.49), body) < 0.03
 

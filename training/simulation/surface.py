@@ -1,0 +1,61 @@
+"""The surface of a shape given by its signed distance: gradients, projection, integrals over it.
+
+Everything is in units of the cube's edge L.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float32, Float64
+
+Distance: TypeAlias = Callable[[Float32[np.ndarray, "n 3"]], Float32[np.ndarray, " n"]]
+"""Signed distance to a surface, negative inside, for points in cube coordinates."""
+
+SHELL = 1.5
+"""Half thickness, in lattice spacings, of the shell around the surface whose lattice points carry an integral."""
+
+
+def surface_gradient(distance: Distance, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    """Gradient of a signed distance by central differences, float32-safe step."""
+    step = 1e-3
+    shifts = np.concatenate([step * np.eye(3), -step * np.eye(3)])
+    samples = (points[None] + shifts[:, None]).reshape(-1, 3).astype(np.float32)
+    value = distance(samples).astype(np.float64).reshape(6, -1)
+    return np.asarray(((value[:3] - value[3:]) / (2.0 * step)).T)
+
+
+def project_to_surface(
+    distance: Distance, points: Float64[np.ndarray, "n 3"], steps: int = 3
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
+    """Nearest points on the surface by Newton's method along the gradient, and outward unit normals there."""
+    projected = points.copy()
+    for _ in range(steps):
+        gradient = surface_gradient(distance, projected)
+        value = distance(projected.astype(np.float32)).astype(np.float64)
+        projected -= gradient * (value / np.maximum((gradient**2).sum(axis=1), 1e-6))[:, None]
+    gradient = surface_gradient(distance, projected)
+    normal = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
+    return projected, normal
+
+
+def surface_quadrature(
+    distance: Distance, lattice: Float64[np.ndarray, "n 3"], spacing: float
+) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"], Float64[np.ndarray, " m"]]:
+    """Points on the surface, outward unit normals and areas, from the points of a cubic lattice near it.
+
+    Lattice points in a thin shell around the surface are projected onto it. Their areas fall linearly with the distance
+    to zero at the rim of the shell, which integrates a constant over a plane of any tilt to second order.
+
+    Args:
+        distance: The shape.
+        lattice: Points of a cubic lattice; those farther than 1.5 spacings from the surface are dropped.
+        spacing: Between neighbours of the lattice.
+    """
+    value = np.abs(distance(lattice.astype(np.float32)).astype(np.float64))
+    near = value < SHELL * spacing
+    points, normals = project_to_surface(distance, lattice[near], steps=1)
+    area = (1.0 - value[near] / (SHELL * spacing)) * (spacing**2 / SHELL)
+    return points, normals, area
