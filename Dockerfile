@@ -1,7 +1,7 @@
 # The service alone: base install, no torch, an unprivileged user.
 #
 #   docker build -t physnet .
-#   docker run --rm --read-only -p 8000:8000 physnet
+#   docker run --rm --read-only -p 8000:8000 -p 8001:8001 physnet
 
 FROM python:3.12-slim AS build
 WORKDIR /src
@@ -21,8 +21,9 @@ ENV PATH=/opt/physnet/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     PHYSNET_HOST=0.0.0.0 \
-    PHYSNET_HTTP_PORT=8000
-EXPOSE 8000
+    PHYSNET_HTTP_PORT=8000 \
+    PHYSNET_GRPC_PORT=8001
+EXPOSE 8000 8001
 # /healthz answers as soon as the process lives; whether the models are warm is for /readyz and the orchestrator.
 HEALTHCHECK --interval=10s --timeout=3s --start-period=20s --retries=3 \
     CMD ["python", "-c", "import os, urllib.request as r; r.urlopen(f'http://127.0.0.1:{os.environ[\"PHYSNET_HTTP_PORT\"]}/healthz', timeout=2)"]

@@ -76,6 +76,12 @@ test-training: $(FULL)/.installed ## The tests of training, in the full install
 format: $(FULL)/.installed ## Sort imports and apply ruff's safe fixes
 	"$(FULL_PYTHON)" -m ruff check --fix .
 
+proto: .venv-proto/.installed ## Write service/api/generated from proto/, with a generator that old robots understand
+	.venv-proto/bin/python proto/generate.py service/api/generated
+
+proto-lint: ## buf lint on proto/ (needs node's npx)
+	cd proto && npx --yes @bufbuild/buf@1.75.0 lint
+
 ##@ Set up
 
 environments: $(BASE)/.installed-demo $(BASE)/.installed-test $(FULL)/.installed ## Both environments, without running anything
@@ -118,5 +124,11 @@ $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 		--editable ".[training,pictures,test,oracle,lint]"
 	@touch "$@"
 
+# One exact version: proto/generate.py says why. Its wheels are for Python 3.11 and 3.12.
+.venv-proto/.installed: proto/generate.py
+	"$(PYTHON)" -m venv --clear .venv-proto
+	.venv-proto/bin/python -m pip $(PIP_FLAGS) install grpcio-tools==1.60.2 "protobuf<5" "setuptools<81"
+	@touch "$@"
+
 .NOTPARALLEL:
-.PHONY: demo serve train test lint types imports test-base test-training format environments wheel clean help
+.PHONY: demo serve train test lint types imports test-base test-training format proto proto-lint environments wheel clean help

@@ -68,13 +68,13 @@ def _parser() -> argparse.ArgumentParser:
     as_json.add_argument("--json", action="store_true", help="print one JSON document")
 
     serve = commands.add_parser(
-        "serve", parents=[models], help="answer requests over HTTP", epilog=_EPILOG,
-        description="Serve until SIGTERM. Prints one line on stdout once it answers: `ready http=HOST:PORT grpc=…`; "
-        "logs go to stderr. Every setting is also an environment variable: PHYSNET_HOST, PHYSNET_TOKEN, …",
+        "serve", parents=[models], help="answer requests over HTTP and gRPC", epilog=_EPILOG,
+        description="Serve until SIGTERM. Prints one line on stdout once it answers, `ready http=HOST:PORT "
+        "grpc=HOST:PORT`; logs go to stderr. Every setting is also an environment variable: PHYSNET_HOST, PHYSNET_TOKEN, …",
     )  # fmt: skip
     serve.add_argument("--host", help="address to listen on (PHYSNET_HOST)")
     serve.add_argument("--http-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_HTTP_PORT)")
-    serve.add_argument("--grpc-port", type=int, metavar="PORT", help="kept for gRPC, not served yet")
+    serve.add_argument("--grpc-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_GRPC_PORT)")
     serve.add_argument("--log-level", choices=["debug", "info", "warning", "error"], help="(PHYSNET_LOG_LEVEL)")
     serve.set_defaults(run=_serve)
 

@@ -15,6 +15,7 @@ import uvicorn
 
 from service.api.handler import Handler
 from service.api.rest import create_http
+from service.api.rpc_server import GrpcServer
 from service.core.errors import PhysNetError
 from service.core.manifest import Manifest
 from service.scheduler import Predictor, Scheduler
@@ -76,11 +77,20 @@ async def serve(
 
     Returns:
         Exit code: 0 after a stop that was asked for, 1 where the models could not be loaded.
+
+    Raises:
+        OSError: A port is taken.
     """
     stop = stop or asyncio.Event()
     _stop_on_signals(stop)
     handler = Handler()
+    rpc = GrpcServer(handler, settings)
     listener = _listen(settings.host, settings.http_port)
+    try:
+        grpc_port = await rpc.start()
+    except OSError:
+        listener.close()
+        raise
     server = _Server(
         uvicorn.Config(
             create_http(handler, settings),
@@ -100,8 +110,10 @@ async def serve(
         if loading.done():
             served = loading.result()
             handler.open(Scheduler(served.predictor, settings.queue_size), served.manifests)
-            host, port = listener.getsockname()[:2]
-            announce(f"ready http={f'[{host}]' if ':' in host else host}:{port} grpc=off")
+            await rpc.ready()
+            host, http_port = listener.getsockname()[:2]
+            host = f"[{host}]" if ":" in host else host
+            announce(f"ready http={host}:{http_port} grpc={host}:{grpc_port}")
             await asyncio.wait({stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         return 0
     except Exception as error:
@@ -111,7 +123,9 @@ async def serve(
     finally:
         log.info("stopping")
         # First the queue, so that its replies still find their connections; then the connections.
+        await rpc.stopping()
         await handler.close(settings.shutdown_grace_s)
+        await rpc.stop()
         server.should_exit = True
         await serving
         stopped.cancel()

@@ -2,7 +2,7 @@
 
 Two requests at once on the same cores finish later than one after the other, so there is one worker. What cannot be
 answered in time is refused before it costs anything: when the queue is full, and when the deadline has passed by the
-time the worker would start.
+time the worker would start. A stream of frames has one place in the queue, in which the newest frame waits.
 """
 
 from __future__ import annotations
@@ -12,13 +12,17 @@ import logging
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from functools import partial
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 from service.core.errors import DeadlineExceeded, Overloaded
 from service.core.messages import DeformRequest, DeformResult
 
 log = logging.getLogger(__name__)
+
+Result = TypeVar("Result")
 
 FIRST_GUESS_S = 0.05
 """Time of one prediction, assumed until one has been measured."""
@@ -35,33 +39,37 @@ class Predictor(Protocol):
         """Answer one request, in the worker thread; raises errors of `service.core.errors`."""
 
 
+class Overtaken(Exception):
+    """A newer frame of the same stream has taken the place of this one; nothing was computed."""
+
+
 @dataclass(frozen=True)
-class Answer:
+class Answer(Generic[Result]):
     """Attributes:
-    result: What the predictor returned.
+    result: What the worker returned.
     queued_s: How long the request waited for the worker.
     """
 
-    result: DeformResult
+    result: Result
     queued_s: float
 
 
-class _Job:
-    def __init__(self, request: DeformRequest, deadline: float, loop: asyncio.AbstractEventLoop) -> None:
-        self.request = request
+class _Job(Generic[Result]):
+    def __init__(self, work: Callable[[], Result], deadline: float, loop: asyncio.AbstractEventLoop) -> None:
+        self.work = work
         self.deadline = deadline
         self.loop = loop
-        self.future: asyncio.Future[Answer] = loop.create_future()
+        self.future: asyncio.Future[Answer[Result]] = loop.create_future()
         self.submitted = time.monotonic()
 
-    def settle(self, outcome: Answer | BaseException) -> None:
+    def settle(self, outcome: Answer[Result] | BaseException) -> None:
         """Hand the outcome to the event loop; nobody may be waiting for it any more."""
         try:
             self.loop.call_soon_threadsafe(self._settle_here, outcome)
         except RuntimeError:
             log.debug("the event loop closed before a reply was ready")
 
-    def _settle_here(self, outcome: Answer | BaseException) -> None:
+    def _settle_here(self, outcome: Answer[Result] | BaseException) -> None:
         if self.future.done():
             return
         if isinstance(outcome, BaseException):
@@ -81,7 +89,7 @@ class Scheduler:
     def __init__(self, predictor: Predictor, queue_size: int) -> None:
         self._predictor = predictor
         self._queue_size = queue_size
-        self._waiting: deque[_Job] = deque()
+        self._waiting: deque[_Job[Any]] = deque()
         self._changed = threading.Condition()
         self._closed = False
         self._busy = False
@@ -94,24 +102,43 @@ class Scheduler:
         """Requests that wait for the worker."""
         return len(self._waiting)
 
-    async def submit(self, request: DeformRequest, deadline: float) -> Answer:
-        """Answer a request. Cancelling the caller frees its place in the queue at once.
+    async def submit(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
+        """Answer a request; see `call`."""
+        return await self.call(partial(self._predictor.predict, request), deadline)
+
+    async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
+        """Do something in the worker thread. Cancelling the caller frees its place in the queue at once.
 
         Args:
-            request: What to predict.
-            deadline: Time of `time.monotonic()` at which inference must have started.
+            work: What to do.
+            deadline: Time of `time.monotonic()` at which it must have been begun.
 
         Raises:
             Overloaded: The queue is full or the service is shutting down.
             DeadlineExceeded: The deadline passed before inference.
-            PhysNetError: What the predictor found wrong with the request.
+            PhysNetError: What `work` found wrong with the request.
         """
-        job = _Job(request, deadline, asyncio.get_running_loop())
-        if job.submitted >= deadline:
+        job = _Job(work, deadline, asyncio.get_running_loop())
+        self._enter(job)
+        try:
+            return await job.future
+        finally:
+            self._forget(job)
+
+    def place(self) -> Place:
+        """A place in the queue for one stream."""
+        return Place(self)
+
+    def _enter(self, job: _Job[Any], instead_of: _Job[Any] | None = None) -> bool:
+        """Put a job where another one waits, if it still does, else at the end; returns whether it did."""
+        if job.submitted >= job.deadline:
             raise _too_late(0.0)
         with self._changed:
             if self._closed:
                 raise Overloaded("The service is shutting down; try another one.", retry_after_s=1.0)
+            if instead_of is not None and instead_of in self._waiting:
+                self._waiting[self._waiting.index(instead_of)] = job
+                return True
             # Counted together: one that an idle worker is about to take holds no place in the queue.
             inside = len(self._waiting) + self._busy
             if inside > self._queue_size:
@@ -122,12 +149,9 @@ class Scheduler:
                 )
             self._waiting.append(job)
             self._changed.notify()
-        try:
-            return await job.future
-        finally:
-            self._forget(job)
+            return False
 
-    def _forget(self, job: _Job) -> None:
+    def _forget(self, job: _Job[Any]) -> None:
         with self._changed:
             if job in self._waiting:
                 self._waiting.remove(job)
@@ -164,7 +188,7 @@ class Scheduler:
                 self._changed.notify_all()
             job.settle(outcome)
 
-    def _next(self) -> _Job | None:
+    def _next(self) -> _Job[Any] | None:
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closed)
             if not self._waiting:
@@ -172,14 +196,14 @@ class Scheduler:
             self._busy = True
             return self._waiting.popleft()
 
-    def _outcome(self, job: _Job, started: float) -> Answer | BaseException:
+    def _outcome(self, job: _Job[Result], started: float) -> Answer[Result] | BaseException:
         if job.future.cancelled():
             return asyncio.CancelledError()
         if started >= job.deadline:
             return _too_late(started - job.submitted)
         # Whatever one request provokes is that request's answer: the worker must live for the next one.
         try:
-            return Answer(self._predictor.predict(job.request), started - job.submitted)
+            return Answer(job.work(), started - job.submitted)
         except Exception as error:
             return error
         except BaseException as error:
@@ -187,6 +211,39 @@ class Scheduler:
             wrapped = RuntimeError(f"inference raised {type(error).__name__}")
             wrapped.__cause__ = error
             return wrapped
+
+
+class Place:
+    """A stream's one place in the queue: what waits there gives way to what is newer, which keeps the place.
+
+    So a stream has at most one frame with the worker and one waiting, and however fast its frames come, it neither
+    crowds others out nor loses its turn.
+    """
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
+        self._newest: _Job[DeformResult] | None = None
+
+    def offer(self, request: DeformRequest, deadline: float) -> asyncio.Future[Answer[DeformResult]]:
+        """Let a frame wait here; the one that still does is overtaken, and its future raises `Overtaken`.
+
+        Raises:
+            Overloaded: The queue is full or the service is shutting down; what was waiting here still is.
+            DeadlineExceeded: The deadline (`time.monotonic()`) has passed already.
+        """
+        scheduler = self._scheduler
+        job = _Job(partial(scheduler._predictor.predict, request), deadline, asyncio.get_running_loop())
+        if scheduler._enter(job, instead_of=self._newest) and self._newest is not None:
+            self._newest.settle(Overtaken())
+        self._newest = job
+        return job.future
+
+    def leave(self) -> None:
+        """Give the place up, with whatever waits there."""
+        if self._newest is not None:
+            self._newest.future.cancel()
+            self._scheduler._forget(self._newest)
+            self._newest = None
 
 
 def _too_late(waited_s: float) -> DeadlineExceeded:

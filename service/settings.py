@@ -58,13 +58,13 @@ class Settings(BaseSettings):
     """Port of the HTTP API; 0 picks a free one, which the ready line names."""
 
     grpc_port: int = Field(8001, ge=0, le=65535)
-    """Port kept for the gRPC API, which is not served yet: the ready line says `grpc=off`."""
+    """Port of the gRPC API; 0 picks a free one, which the ready line names."""
 
     models: Path = Field(default_factory=default_models_directory)
     """Directory of the artefacts, `<name>/<version>/manifest.json`."""
 
     max_body_bytes: int = Field(32 * 2**20, ge=1024)
-    """Largest request body. A 1080p float32 frame is 8 MiB, in base64 11 MiB."""
+    """Largest request body or gRPC message. A 1080p float32 frame is 8 MiB, in base64 11 MiB."""
 
     max_image_pixels: int = Field(DEFAULT_LIMITS.max_pixels, ge=1)
     """Largest depth image or mask, checked from its header before it is decoded."""

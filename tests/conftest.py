@@ -23,6 +23,7 @@ class LiveService:
     """`physnet serve` as its own process, with the shipped models, on ports it picked itself."""
 
     url: str
+    grpc: str
     ready_line: str
     process: subprocess.Popen[str]
     log: Path
@@ -48,7 +49,8 @@ def start_service(log: Path, *arguments: str, timeout_s: float = 60.0) -> LiveSe
         process.wait()
         process.stdout.close()
         pytest.fail(f"no ready line but {line!r}; log:\n{log.read_text('utf-8')}")
-    return LiveService(f"http://{line.split('http=')[1].split()[0]}", line.rstrip("\n"), process, log)
+    http, grpc = (line.split(f"{wire}=")[1].split()[0] for wire in ("http", "grpc"))
+    return LiveService(f"http://{http}", grpc, line.rstrip("\n"), process, log)
 
 
 def stop_service(service: LiveService, timeout_s: float = 15.0) -> int:

@@ -23,6 +23,21 @@ log = logging.getLogger(__name__)
 _USABLE_ID = re.compile(r"[A-Za-z0-9._:/+=-]{1,128}")
 
 
+def request_id_of(given: str) -> str:
+    """The client's own id where it is usable, else one made up."""
+    return given if _USABLE_ID.fullmatch(given) else uuid.uuid4().hex
+
+
+def check_token(authorization: str, token: str | None) -> None:
+    """Raises `Unauthenticated` where a token is asked for and `authorization` does not hold it."""
+    if token is None:
+        return
+    scheme, _, given = authorization.partition(" ")
+    # Compared as bytes: a header may hold any of latin-1, which compare_digest takes only as bytes.
+    if scheme.lower() != "bearer" or not secrets.compare_digest(given.strip().encode(), token.encode()):
+        raise Unauthenticated("This service wants `Authorization: Bearer <token>`.", field="Authorization")
+
+
 def problem_response(error: BaseException, request_id: str) -> Response:
     """The reply to a request that failed."""
     problem = problem_document(error, request_id)
@@ -43,8 +58,7 @@ class RequestContext:
             return
         started = time.perf_counter()
         headers = Headers(scope=scope)
-        given_id = headers.get("x-request-id", "")
-        request_id = given_id if _USABLE_ID.fullmatch(given_id) else uuid.uuid4().hex
+        request_id = request_id_of(headers.get("x-request-id", ""))
         state = scope.setdefault("state", {})
         state["request_id"] = request_id
         status = 0
@@ -58,29 +72,22 @@ class RequestContext:
 
         code = "ok"
         try:
-            self._authenticate(scope["path"], headers)
+            if scope["path"].startswith("/v1/"):
+                check_token(headers.get("authorization", ""), self._token)
             await self._app(scope, receive, send_with_id)
             code = state.get("code", "ok" if status < 400 else "internal")
         except ClientDisconnect:
             code = "cancelled"
         except Exception as error:
-            code = _log(error, request_id)
+            code = log_error(error, request_id)
             if status == 0:
                 await problem_response(error, request_id)(scope, receive, send_with_id)
         finally:
             route = getattr(scope.get("route"), "path", "none")
             self._metrics.request("http", route, code, time.perf_counter() - started)
 
-    def _authenticate(self, path: str, headers: Headers) -> None:
-        if self._token is None or not path.startswith("/v1/"):
-            return
-        scheme, _, given = headers.get("authorization", "").partition(" ")
-        # Compared as bytes: a header may hold any of latin-1, which compare_digest takes only as bytes.
-        if scheme.lower() != "bearer" or not secrets.compare_digest(given.strip().encode(), self._token.encode()):
-            raise Unauthenticated("This service wants `Authorization: Bearer <token>`.", field="Authorization")
 
-
-def _log(error: Exception, request_id: str) -> str:
+def log_error(error: Exception, request_id: str) -> str:
     """Log an error that ended a request; returns the code it is counted under."""
     known = error.error if isinstance(error, ValidationFailed) else error
     if isinstance(known, PhysNetError):

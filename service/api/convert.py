@@ -30,6 +30,9 @@ from service.core.messages import (
     Observation,
 )
 
+HEAVY_FIELDS = 4
+"""Replies with more grids of floats or loads than this are encoded beside the event loop, not on it."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NPY_SIGNATURE = b"\x93NUMPY"
 
@@ -173,6 +176,12 @@ def _vector(components: tuple[float, float, float]) -> Vector3:
 # --- replies ----------------------------------------------------------------------------------------------------
 
 
+def is_heavy(request: DeformRequest) -> bool:
+    """Whether the reply is better encoded beside the event loop."""
+    fields = len(request.loads) * len(request.outputs & {"probability", "displacement"})
+    return max(fields, len(request.loads)) > HEAVY_FIELDS
+
+
 def reply_document(result: DeformResult, outputs: frozenset[str], request_id: str) -> dict[str, Any]:
     """The reply as in `service.api.schemas.DeformReply`, but for `timing_ms`, which ends with the encoding itself."""
     grid = result.grid
@@ -203,7 +212,7 @@ def _load_document(load: LoadResult, outputs: frozenset[str]) -> dict[str, Any]:
     if "probability" in outputs:
         document["probability"] = _probability(load.probability)
     if "displacement" in outputs:
-        field = load.displacement_m.astype("<f2")
+        field = half_precision(load.displacement_m)
         document["displacement"] = {"encoding": "float16", "shape": list(field.shape), "data": _base64(field)}
     document["max_displacement_m"] = load.max_displacement_m
     document["mean_displacement_m"] = load.mean_displacement_m
@@ -217,8 +226,18 @@ def _bits(occupancy: Occupancy) -> dict[str, Any]:
 
 
 def _probability(probability: np.ndarray) -> dict[str, Any]:
-    levels = np.rint(probability * np.float32(255.0)).astype(np.uint8)
-    return {"encoding": "uint8", "shape": list(levels.shape), "data": _base64(levels)}
+    found = levels(probability)
+    return {"encoding": "uint8", "shape": list(found.shape), "data": _base64(found)}
+
+
+def levels(probability: np.ndarray) -> np.ndarray:
+    """Probabilities as bytes, value/255: what both wires send."""
+    return np.rint(probability * np.float32(255.0)).astype(np.uint8)
+
+
+def half_precision(displacement_m: np.ndarray) -> np.ndarray:
+    """A displacement field as both wires send it: little-endian half precision, metres."""
+    return displacement_m.astype("<f2")
 
 
 def _base64(array: np.ndarray) -> str:

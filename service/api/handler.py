@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from service.api.metrics import Metrics
 from service.core.errors import Overloaded
 from service.core.manifest import Manifest
-from service.core.messages import DeformRequest
-from service.scheduler import Answer, Scheduler
+from service.core.messages import DeformRequest, DeformResult
+from service.scheduler import Answer, Place, Result, Scheduler
 
 
 class Handler:
@@ -36,16 +36,31 @@ class Handler:
         self._manifests = tuple(manifests)
         self.metrics.ready({m.name: m.version for m in manifests})
 
-    async def deform(self, request: DeformRequest, deadline: float) -> Answer:
+    async def deform(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
         """Answer one request; see `Scheduler.submit`.
 
         Raises:
             Overloaded: The models are still being loaded, or the queue is full.
             PhysNetError: What the scheduler or the predictor raises.
         """
+        return await self._opened().submit(request, deadline)
+
+    async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
+        """Do something else in the worker's turn; see `Scheduler.call`. Raises as `deform` does."""
+        return await self._opened().call(work, deadline)
+
+    def place(self) -> Place:
+        """A place in the queue for one stream of frames.
+
+        Raises:
+            Overloaded: The models are still being loaded.
+        """
+        return self._opened().place()
+
+    def _opened(self) -> Scheduler:
         if self._scheduler is None:
             raise Overloaded("The models are still being loaded; try again in a second.", retry_after_s=1.0)
-        return await self._scheduler.submit(request, deadline)
+        return self._scheduler
 
     async def close(self, grace_s: float) -> None:
         """Answer what was accepted, for up to `grace_s` seconds, and refuse the rest."""

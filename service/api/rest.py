@@ -27,6 +27,7 @@ from service.api.schemas import MaterialReply, MaterialsReply
 from service.api.status import meanings
 from service.core.errors import InvalidRequest, Overloaded
 from service.core.materials import search_materials
+from service.core.messages import DeformResult
 from service.scheduler import Answer
 from service.settings import Settings
 
@@ -35,9 +36,6 @@ JSON = "application/json"
 
 DEADLINE_HEADER = "X-Deadline-Ms"
 """Milliseconds from a request's arrival after which its answer is of no use to the robot."""
-
-HEAVY_FIELDS = 4
-"""Replies with more grids of floats or loads than this are encoded beside the event loop, not on it."""
 
 _WEB = Path(__file__).resolve().parent.parent / "web"
 
@@ -90,8 +88,7 @@ def _add_deform(app: FastAPI, handler: Handler, settings: Settings) -> None:
         answer = await _unless_disconnected(request, handler.deform(question, deadline))
         timing_ms = {"parse": 1e3 * (parsed - received)}
         request_id: str = request.state.request_id
-        fields = len(question.loads) * len(question.outputs & {"probability", "displacement"})
-        if max(fields, len(question.loads)) > HEAVY_FIELDS or media_type == NPZ:
+        if convert.is_heavy(question) or media_type == NPZ:
             encoded = await asyncio.to_thread(
                 _encoded, answer, question.outputs, request_id, media_type, timing_ms, received
             )
@@ -102,7 +99,7 @@ def _add_deform(app: FastAPI, handler: Handler, settings: Settings) -> None:
 
 
 def _encoded(
-    answer: Answer,
+    answer: Answer[DeformResult],
     outputs: frozenset[str],
     request_id: str,
     media_type: str,
@@ -128,7 +125,7 @@ def _encoded(
     return convert.reply_json(document, timing_ms)
 
 
-async def _unless_disconnected(request: Request, answer: Any) -> Answer:
+async def _unless_disconnected(request: Request, answer: Any) -> Answer[DeformResult]:
     """The answer, unless the client goes away first: then its place in the queue is given up."""
     asked = asyncio.ensure_future(answer)
     gone = asyncio.ensure_future(request.receive())
@@ -136,7 +133,7 @@ async def _unless_disconnected(request: Request, answer: Any) -> Answer:
         await asyncio.wait({asked, gone}, return_when=asyncio.FIRST_COMPLETED)
         if not asked.done():
             raise ClientDisconnect
-        result: Answer = asked.result()
+        result: Answer[DeformResult] = asked.result()
         return result
     finally:
         gone.cancel()

@@ -79,6 +79,7 @@ class Running:
     """A service on a real socket."""
 
     url: str
+    grpc: str
     predictor: FakePredictor
     stop: Callable[[], int]
     ready_lines: list[str]
@@ -107,7 +108,7 @@ def running(
         state["loop"], state["stop"] = asyncio.get_running_loop(), stop
         started.set()
         try:
-            return await serve(Settings(http_port=0, **settings), make, stop, announce)  # type: ignore[arg-type]
+            return await serve(Settings(**{"http_port": 0, "grpc_port": 0} | settings), make, stop, announce)  # type: ignore[arg-type]
         finally:
             announced.set()
 
@@ -127,7 +128,7 @@ def running(
     try:
         assert started.wait(10)
         assert announced.wait(20)
-        url = f"http://{lines[0].split('http=')[1].split()[0]}" if lines else ""
-        yield Running(url, predictor, stop, lines)
+        http, grpc = ((lines[0].split(f"{wire}=")[1].split()[0] if lines else "") for wire in ("http", "grpc"))
+        yield Running(f"http://{http}", grpc, predictor, stop, lines)
     finally:
         stop()

@@ -27,7 +27,7 @@ SCENE = BoxScene(width=32, height=24, focal_px=30.0)
 def test_one_ready_line_names_the_port_that_was_picked():
     with running(FakePredictor()) as service:
         (line,) = service.ready_lines
-        assert re.fullmatch(r"ready http=127\.0\.0\.1:[1-9]\d* grpc=off", line)
+        assert re.fullmatch(r"ready http=127\.0\.0\.1:[1-9]\d* grpc=127\.0\.0\.1:[1-9]\d*", line)
         assert httpx.get(f"{service.url}/readyz").json() == {"status": "ready"}
         assert service.stop() == 0
 
@@ -121,7 +121,7 @@ def test_a_signal_ends_it_with_0_and_only_the_ready_line_on_stdout(number):
         "served = app.Served(FakePredictor(), [fake_manifest()])\n"
         "app.serve.__defaults__ = (lambda settings: served, *app.serve.__defaults__[1:])\n"
         "from service.__main__ import main\n"
-        "raise SystemExit(main(['serve', '--http-port', '0']))\n"
+        "raise SystemExit(main(['serve', '--http-port', '0', '--grpc-port', '0']))\n"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

@@ -140,7 +140,7 @@ def test_a_wrong_setting_names_its_variable(monkeypatch, capsys):
 def test_a_directory_without_models_is_a_failure(tmp_path, capsys):
     assert main(["models", "--models", str(tmp_path)]) == FAILED
     assert str(tmp_path) in capsys.readouterr().err
-    assert main(["serve", "--models", str(tmp_path), "--http-port", "0"]) == FAILED
+    assert main(["serve", "--models", str(tmp_path), "--http-port", "0", "--grpc-port", "0"]) == FAILED
 
 
 def test_no_command_is_wrong_usage(capsys):
