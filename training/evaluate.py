@@ -11,9 +11,21 @@ from jaxtyping import Bool, Float32
 
 from training.data.batches import DeformationSet, ViewSet
 from training.losses import relative_displacement
-from training.metrics import changed_voxel_iou, iou, skill
+from training.metrics import (
+    active_latents,
+    calibration_error,
+    chamfer_distance,
+    changed_voxel_iou,
+    displacement_error,
+    f_score,
+    iou,
+    skill,
+    visible_and_occluded_iou,
+)
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork, warp
+from training.networks.physnet import PhysNet
+from training.networks.recgan import RecGan
 from training.networks.reconstruction import ReconstructionNetwork
 
 THRESHOLDS = (0.3, 0.35, 0.4, 0.45, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8)
@@ -25,71 +37,112 @@ MOVED = 0.95
 HALF_VOXEL = 0.5 / 64.0
 BATCH = 16
 
+UNCERTAIN = 0.01
+"""Calibration is asked of voxels whose probability lies this far from 0 and 1, or that are wrong: the empty rest of the
+cube is easy and would hide them."""
+
 Figures: TypeAlias = dict[str, int | float]
-"""What was measured, by name."""
+"""What was measured, by name; a figure that nothing was measured for is absent."""
+
+Deforming: TypeAlias = DeformationNetwork | PhysNet
+Reconstructing: TypeAlias = ReconstructionNetwork | RecGan
 
 
 @torch.no_grad()
-def evaluate_deformation(network: DeformationNetwork, samples: DeformationSet, threshold: float) -> Figures:
-    """Figures over a split; `skill` counts the samples that moved (identity IoU below 0.95)."""
-    scores, errors, peak_ratios = [], [], []
+def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold: float) -> Figures:
+    """Figures over a split; those of moved samples (identity IoU below 0.95) only where there are any."""
+    scores, errors, means, calibration, peak_ratios, relative = [], [], [], [], [], []
     for rows in np.array_split(np.arange(len(samples)), max(1, len(samples) // BATCH)):
         batch = samples.batch(rows)
-        field, _, _ = network(batch.rest, batch.condition, torch.zeros(len(rows), network.config.latent))
-        probability = warp(batch.rest, field).numpy()
+        answer, mean, _ = network(batch.rest, batch.condition, torch.zeros(len(rows), network.config.latent))
+        is_field = not isinstance(network, PhysNet)
+        probability = (warp(batch.rest, answer) if is_field else answer.sigmoid()).numpy()
+        means.append(mean.numpy())
         for i in range(len(rows)):
             truth, rest = batch.deformed[i].numpy() > 0.5, batch.rest[i, 0].numpy() > 0.5
             predicted = probability[i] > threshold
             scores.append((iou(predicted, truth), iou(rest, truth), changed_voxel_iou(predicted, truth, rest),
                            iou(probability[i] > 0.8, truth)))  # fmt: skip
-            one = slice(i, i + 1)
-            errors.append(float(relative_displacement(
-                field[one], batch.displacement[one], batch.coverage[one], batch.peak[one], HALF_VOXEL)))  # fmt: skip
-            inside = batch.coverage[i, 0] > 0
-            peak_ratios.append(float(field[i].norm(dim=0)[inside].max() / batch.peak[i]))
+            calibration.append(_calibration(probability[i], truth))
+            inside = batch.coverage[i, 0].numpy() > 0
+            if is_field and inside.any():
+                one = slice(i, i + 1)
+                relative.append(float(relative_displacement(
+                    answer[one], batch.displacement[one], batch.coverage[one], batch.peak[one], HALF_VOXEL)))
+                errors.append(displacement_error(answer[i].numpy(), batch.displacement[i].numpy(), inside))
+                peak_ratios.append(float(answer[i].norm(dim=0)[batch.coverage[i, 0] > 0].max() / batch.peak[i]))
     model, identity, changed, strict = np.array(scores).T
     moved = identity < MOVED
-    return {
+    figures: Figures = {
         "samples": len(samples),
         "iou": float(model.mean()),
         "iou_p10": float(np.quantile(model, 0.1)),
         "iou_at_0.8": float(strict.mean()),
         "iou_identity": float(identity.mean()),
         "samples_moved": int(moved.sum()),
-        "iou_moved": float(model[moved].mean()),
-        "iou_identity_moved": float(identity[moved].mean()),
-        "skill": float(skill(model[moved], identity[moved]).mean()),
-        "iou_changed_voxels": float(changed[moved].mean()),
-        "displacement_error": float(np.mean(errors)),
-        "peak_ratio_median": float(np.median(peak_ratios)),
     }
+    if moved.any():
+        figures |= {
+            "iou_moved": float(model[moved].mean()),
+            "iou_identity_moved": float(identity[moved].mean()),
+            "skill": float(skill(model[moved], identity[moved]).mean()),
+            "iou_changed_voxels": float(changed[moved].mean()),
+        }
+    if errors:
+        figures |= {
+            "displacement_error": float(np.mean(relative)),
+            "displacement_error_voxels": float(np.mean([e["mean_voxels"] for e in errors])),
+            "displacement_error_voxels_p95": float(np.mean([e["p95_voxels"] for e in errors])),
+            "displacement_error_p95": float(np.mean([e["p95_of_peak"] for e in errors])),
+            "peak_ratio_median": float(np.median(peak_ratios)),
+        }
+    figures["calibration_error"] = float(np.mean(calibration))
+    figures["active_latents"] = active_latents(np.concatenate(means))
+    return figures
+
+
+def _calibration(probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]) -> float:
+    counts = (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
+    return calibration_error(probability[counts], truth[counts])
 
 
 @torch.no_grad()
-def evaluate_reconstruction(network: ReconstructionNetwork, views: ViewSet, threshold: float) -> Figures:
+def evaluate_reconstruction(network: Reconstructing, views: ViewSet, threshold: float) -> Figures:
     """Figures over a split; free space overrules the network, as in the service."""
-    scores = []
+    scores, surfaces, calibration = [], [], []
     for rows in np.array_split(np.arange(len(views)), max(1, len(views) // BATCH)):
         batch = views.batch(rows)
         probability = torch.sigmoid(network(batch.view)).numpy()
         for i in range(len(rows)):
             truth, free = batch.truth[i].numpy() > 0.5, batch.view[i, 1].numpy() > 0.5
             observed = batch.view[i, 0].numpy() > 0.5
-            scores.append((iou((probability[i] > threshold) & ~free, truth),
-                           iou((probability[i] > 0.8) & ~free, truth), iou(observed, truth)))  # fmt: skip
-    model, strict, seen = np.array(scores).T
-    return {
+            predicted = (probability[i] > threshold) & ~free
+            scores.append((iou(predicted, truth), iou((probability[i] > 0.8) & ~free, truth), iou(observed, truth),
+                           *visible_and_occluded_iou(predicted, truth, observed)))  # fmt: skip
+            calibration.append(_calibration(np.where(free, 0.0, probability[i]).astype(np.float32), truth))
+            if predicted.any() and truth.any():
+                surfaces.append((chamfer_distance(predicted, truth), f_score(predicted, truth)))
+    model, strict, seen, visible, occluded = np.array(scores).T
+    figures: Figures = {
         "samples": len(views),
         "iou": float(model.mean()),
         "iou_p10": float(np.quantile(model, 0.1)),
         "iou_at_0.8": float(strict.mean()),
         "iou_observed_only": float(seen.mean()),
+        "iou_visible": float(visible.mean()),
+        "iou_occluded": float(occluded.mean()),
+        "calibration_error": float(np.mean(calibration)),
+        "samples_empty": len(scores) - len(surfaces),
     }
+    if surfaces:
+        chamfer, score = np.array(surfaces).T
+        figures |= {"chamfer_voxels": float(chamfer.mean()), "f_score_1_voxel": float(score.mean())}
+    return figures
 
 
 @torch.no_grad()
 def tune_threshold(
-    network: DeformationNetwork | ReconstructionNetwork, samples: DeformationSet | ViewSet, count: int = 160
+    network: Deforming | Reconstructing, samples: DeformationSet | ViewSet, count: int = 160
 ) -> float:
     """The candidate threshold of the highest mean IoU on an evenly spread part of the validation split."""
     rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
@@ -101,14 +154,15 @@ def tune_threshold(
 
 
 def _answer(
-    network: DeformationNetwork | ReconstructionNetwork, samples: DeformationSet | ViewSet, rows: np.ndarray
+    network: Deforming | Reconstructing, samples: DeformationSet | ViewSet, rows: np.ndarray
 ) -> tuple[Float32[np.ndarray, "b x y z"], Bool[np.ndarray, "b x y z"]]:
     """Served probability and truth of a few samples."""
-    if isinstance(network, DeformationNetwork) and isinstance(samples, DeformationSet):
+    if isinstance(network, Deforming) and isinstance(samples, DeformationSet):
         load = samples.batch(rows)
-        field, _, _ = network(load.rest, load.condition, torch.zeros(len(rows), network.config.latent))
-        return warp(load.rest, field).numpy(), load.deformed.numpy() > 0.5
-    if isinstance(network, ReconstructionNetwork) and isinstance(samples, ViewSet):
+        answer, _, _ = network(load.rest, load.condition, torch.zeros(len(rows), network.config.latent))
+        probability = answer.sigmoid() if isinstance(network, PhysNet) else warp(load.rest, answer)
+        return probability.numpy(), load.deformed.numpy() > 0.5
+    if isinstance(network, Reconstructing) and isinstance(samples, ViewSet):
         view = samples.batch(rows)
         probability = torch.sigmoid(network(view.view)) * (view.view[:, 1] < 0.5)
         return probability.numpy(), view.truth.numpy() > 0.5
@@ -122,12 +176,13 @@ def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None =
         The threshold, and the figures.
     """
     network, _ = load_network(checkpoint)
-    kind = DeformationSet if isinstance(network, DeformationNetwork) else ViewSet
-    if threshold is None:
-        threshold = tune_threshold(network, kind.load(data, "validation"))
-    samples = kind.load(data, split)
-    if isinstance(network, DeformationNetwork) and isinstance(samples, DeformationSet):
-        figures = evaluate_deformation(network, samples, threshold)
-    elif isinstance(network, ReconstructionNetwork) and isinstance(samples, ViewSet):
-        figures = evaluate_reconstruction(network, samples, threshold)
+    figures: Figures
+    if isinstance(network, Deforming):
+        threshold = threshold or tune_threshold(network, DeformationSet.load(data, "validation"))
+        figures = evaluate_deformation(network, DeformationSet.load(data, split), threshold)
+    elif isinstance(network, Reconstructing):
+        threshold = threshold or tune_threshold(network, ViewSet.load(data, "validation"))
+        figures = evaluate_reconstruction(network, ViewSet.load(data, split), threshold)
+    else:
+        raise TypeError(f"a {type(network).__name__} is no network that could be judged")
     return threshold, {"split": split, **figures}

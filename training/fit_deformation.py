@@ -2,93 +2,63 @@
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from training.configs import FitDeformationConfig
 from training.data.batches import DeformationBatch, DeformationSet
 from training.data.store import Store
-from training.losses import kl_divergence, modified_bce, relative_displacement
-from training.metrics import iou, skill
-from training.networks.deformation import DeformationConfig, DeformationNetwork, sample_field, warp
+from training.fit_critic import Adversary
+from training.fit_loop import Learner, training_steps
+from training.losses import (
+    kl_divergence,
+    modified_bce,
+    modified_bce_with_logits,
+    relative_displacement,
+    vae_gan_loss,
+)
+from training.metrics import active_latents, iou, skill
+from training.networks.build import build_deformation
+from training.networks.deformation import DeformationConfig, DeformationNetwork, sample_field, soft_warp, warp
+from training.networks.physnet import PhysNet
 from training.runs import Run
 
 HALF_VOXEL = 0.5 / 64.0
 
 
-@dataclass(frozen=True)
-class FitDeformationConfig:
-    """All that a run is made of; saved in every checkpoint.
-
-    Attributes:
-        bodies: Bodies of a batch.
-        loads: Loads on each of them: the encoder, half of the work, is paid once a body.
-        points: Voxels of each sample at which the occupancy is compared; half of them where body and deformed body
-            differ or lie close, the rest anywhere.
-        occupancy_weight: Weight of the cross-entropy beside the relative displacement error, of order one each.
-        kl_weight: Weight of the latent's divergence from its prior, per nat.
-    """
-
-    network: DeformationConfig = field(default_factory=DeformationConfig)
-    seed: int = 0
-    bodies: int = 8
-    loads: int = 4
-    steps: int = 2000
-    learning_rate: float = 1e-3
-    warm_up: int = 200
-    weight_decay: float = 1e-4
-    alpha: float = 0.5
-    occupancy_weight: float = 1.0
-    kl_weight: float = 1e-4
-    points: int = 4096
-    validate_every: int = 500
-    validation_samples: int = 200
-
-
 def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
     """Train from the start, or from the run's last checkpoint."""
     training, validation = DeformationSet.load(data, "train"), DeformationSet.load(data, "validation")
-    log_gain = float(np.mean(np.log10(training.peak) - training.condition[:, 6]))
-    config = replace(config, network=replace(config.network, log_gain=log_gain))
+    if isinstance(config.network, DeformationConfig):
+        log_gain = float(np.mean(np.log10(training.peak) - training.condition[:, 6]))
+        config = replace(config, network=replace(config.network, log_gain=log_gain))
     torch.manual_seed(config.seed)
     # Channels last: measured 3.2 times faster a step than channels first (oneDNN on two AVX-512 cores).
-    network = DeformationNetwork(config.network).to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
-    optimizer = torch.optim.AdamW(
-        network.parameters(), lr=config.learning_rate, betas=(0.9, 0.99), weight_decay=config.weight_decay
-    )
-    rise = min(config.warm_up / config.steps, 0.5)  # a run shorter than its warm-up is a trial, not an error
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimizer, config.learning_rate, total_steps=config.steps, pct_start=rise
-    )
-    first = run.resume(network, optimizer, schedule, config, dataset=Store(data).manifest())
-    run.say(f"{len(training)} training and {len(validation)} validation samples, log10 gain {log_gain:.2f}")
-    network.train()
-    started = time.monotonic()
-    for step in range(first, config.steps):
-        # Everything random of a step comes from (seed, step): a resumed run repeats what an unbroken one does.
-        rng = np.random.default_rng((config.seed, step))
-        torch.manual_seed(config.seed * 1_000_003 + step)
-        batch = augmented(training.batch_by_body(config.bodies, config.loads, rng), rng)
-        losses = step_losses(network, batch, config)
-        loss = sum(losses.values(), start=torch.zeros(()))
-        run.check_finite(loss, step)
-        optimizer.zero_grad(set_to_none=True)
-        torch.autograd.backward(loss)
-        torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
-        schedule.step()
-        done = step + 1
-        run.progress(done, config.steps, first, started, {name: value.item() for name, value in losses.items()})
-        if done % config.validate_every == 0 or done == config.steps:
-            run.log(done, validate(network, validation, config.validation_samples))
-            network.train()
-            run.checkpoint(done, network, optimizer, schedule, config)
-        elif run.checkpoint_due():
-            run.checkpoint(done, network, optimizer, schedule, config)
+    network = build_deformation(config.network).to(memory_format=torch.channels_last_3d)  # type: ignore[call-overload]
+    learner = Learner(network, config.optimizer, config.steps)
+    adversary = Adversary(config.adversary, config.steps) if config.adversary else None
+    parts = learner.parts() | ({"critic": adversary} if adversary else {})
+    run.say(f"{len(training)} training and {len(validation)} validation samples")
+    for step in training_steps(
+        run, config, parts, Store(data).manifest(), lambda: validate(network, validation, config.validation_samples)
+    ):
+        network.train()
+        batch = augmented(training.batch_by_body(config.bodies, config.loads, step.rng), step.rng)
+        terms, answer = step_losses(network, batch, config)
+        loss = sum(terms.values(), start=torch.zeros(()))
+        step.losses = {name: value.item() for name, value in terms.items()}
+        if adversary and adversary.learns_at(step.index):
+            fake = occupancy_of(network, batch, answer)
+            given, condition = batch.rest_of_loads, batch.condition
+            step.losses |= adversary.learn(given, condition, fake, batch.deformed)
+            if (beta := adversary.beta(step.index)) < 1:
+                loss = vae_gan_loss(loss, adversary.loss(given, condition, fake), beta)
+        run.check_finite(loss, step.index)
+        learner.learn(loss)
 
 
 def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationBatch:
@@ -100,19 +70,27 @@ def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationB
 
 
 def step_losses(
-    network: DeformationNetwork, batch: DeformationBatch, config: FitDeformationConfig
-) -> dict[str, Tensor]:
-    """β-weighted terms of the loss of one batch."""
+    network: DeformationNetwork | PhysNet, batch: DeformationBatch, config: FitDeformationConfig
+) -> tuple[dict[str, Tensor], Tensor]:
+    """Weighted terms of L_VAE for one batch, and the network's answer: a field, or logits."""
     noise = torch.randn(len(batch.condition), config.network.latent)
-    field, mean, log_variance = network(batch.rest, batch.condition, noise)
+    answer, mean, log_variance = network(batch.rest, batch.condition, noise)
+    kl = {"kl": config.kl_weight * kl_divergence(mean, log_variance)}
+    if isinstance(network, PhysNet):
+        return {"occupancy": modified_bce_with_logits(answer, batch.deformed, config.alpha)} | kl, answer
     points, target = sample_points(batch, config.points)
-    source = points - sample_field(field, points).transpose(1, 2)
+    source = points - sample_field(answer, points).transpose(1, 2)
     occupancy = sample_field(batch.rest_of_loads, source, outside="zeros")[:, 0]
-    return {
-        "displacement": relative_displacement(field, batch.displacement, batch.coverage, batch.peak, HALF_VOXEL),
+    field = {
+        "displacement": relative_displacement(answer, batch.displacement, batch.coverage, batch.peak, HALF_VOXEL),
         "occupancy": config.occupancy_weight * modified_bce(occupancy, target, config.alpha),
-        "kl": config.kl_weight * kl_divergence(mean, log_variance),
     }
+    return field | kl, answer
+
+
+def occupancy_of(network: DeformationNetwork | PhysNet, batch: DeformationBatch, answer: Tensor) -> Tensor:
+    """The probability of every voxel, with a gradient, as a critic judges it."""
+    return answer.sigmoid() if isinstance(network, PhysNet) else soft_warp(batch.rest_of_loads, answer)
 
 
 def sample_points(batch: DeformationBatch, count: int) -> tuple[Tensor, Tensor]:
@@ -131,30 +109,37 @@ def sample_points(batch: DeformationBatch, count: int) -> tuple[Tensor, Tensor]:
 
 
 @torch.no_grad()
-def validate(network: DeformationNetwork, samples: DeformationSet, count: int) -> dict[str, float]:
-    """Figures on a fixed, evenly spread subset, beside the identity baseline."""
+def validate(network: DeformationNetwork | PhysNet, samples: DeformationSet, count: int) -> dict[str, float]:
+    """Figures on a fixed, evenly spread subset, beside the identity baseline; those of displacements if it has any.
+
+    `skill` counts samples that moved (identity IoU below 0.95) and is 0 where none did: nothing was to be gained.
+    """
     network.eval()
     rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
-    ious, relative, peaks = [], [], []
+    ious, means, relative, peaks = [], [], [], []
     for part in np.array_split(rows, max(1, len(rows) // 16)):
         batch = samples.batch(part)
-        field, _, _ = network(batch.rest, batch.condition, torch.zeros(len(part), network.config.latent))
-        predicted = (warp(batch.rest, field) > 0.5).numpy()
+        answer, mean, _ = network(batch.rest, batch.condition, torch.zeros(len(part), network.config.latent))
+        is_field = not isinstance(network, PhysNet)
+        predicted = ((warp(batch.rest, answer) if is_field else answer.sigmoid()) > 0.5).numpy()
         ious += [iou(p, t) for p, t in zip(predicted, batch.deformed.numpy() > 0.5, strict=True)]
-        for i in range(len(part)):
+        means.append(mean.numpy())
+        for i in range(len(part) if is_field else 0):
             one = slice(i, i + 1)
             relative.append(
-                float(relative_displacement(field[one], batch.displacement[one], batch.coverage[one],
+                float(relative_displacement(answer[one], batch.displacement[one], batch.coverage[one],
                                             batch.peak[one], HALF_VOXEL))
             )  # fmt: skip
             inside = batch.coverage[i, 0] > 0
-            peaks.append(float(field[i].norm(dim=0)[inside].max() / batch.peak[i]))
+            peaks.append(float(answer[i].norm(dim=0)[inside].max() / batch.peak[i]))
     scores, identity = np.array(ious), samples.identity_iou[rows].astype(float)
     large = identity < 0.95
-    return {
+    figures = {
         "iou": float(scores.mean()),
         "identity": float(identity.mean()),
-        "skill": float(skill(scores[large], identity[large]).mean()),
-        "displacement_error": float(np.mean(relative)),
-        "peak_ratio": float(np.median(peaks)),
+        "skill": float(skill(scores[large], identity[large]).mean()) if large.any() else 0.0,
+        "active_latents": float(active_latents(np.concatenate(means))),
     }
+    if relative:
+        figures |= {"displacement_error": float(np.mean(relative)), "peak_ratio": float(np.median(peaks))}
+    return figures

@@ -5,6 +5,8 @@ Source: 3D-PhysNet, section 3 (the paper), unless a function names another.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -60,3 +62,55 @@ def relative_displacement(
     distance = torch.sqrt(((predicted - target) ** 2).sum(dim=1, keepdim=True) + 1e-12)
     mean = (distance * weight).sum(dim=(1, 2, 3, 4)) / weight.sum(dim=(1, 2, 3, 4)).clamp(min=1.0)
     return (mean / peak.clamp(min=floor)).mean()
+
+
+def vae_gan_loss(vae: Tensor, adversarial: Tensor, beta: float) -> Tensor:
+    """L_g = β L_VAE + (1-β) L_gan^g. Source: the paper, section 3.2; the released code's β is 0.95."""
+    return beta * vae + (1 - beta) * adversarial
+
+
+def beta_at(step: int, start: int, ramp: int, beta: float) -> float:
+    """β of a step: 1 up to `start`, then down to `beta` in a straight line over `ramp` steps.
+
+    The paper says that the VAE loss matters in the first phase of training and the GAN loss for what is subtle: a
+    critic of shapeless blobs has nothing to teach.
+    """
+    share = min(max(step - start, 0) / max(ramp, 1), 1.0)
+    return 1.0 - share * (1.0 - beta)
+
+
+def generator_adversarial_loss(similarity_fake: Float[Tensor, "batch similarities"]) -> Tensor:
+    """L_gan^g = -E[D(o|x)], the mean over batch and similarity vector. Source: the paper, section 3.2."""
+    return -similarity_fake.mean()
+
+
+def wasserstein_loss(
+    similarity_fake: Float[Tensor, "batch similarities"], similarity_true: Float[Tensor, "batch similarities"]
+) -> Tensor:
+    """E[D(o|x)] - E[D(t|x)]: minus the distance between generated and true. Source: the paper, eq. 3."""
+    return similarity_fake.mean() - similarity_true.mean()
+
+
+def gradient_penalty(
+    critic: Callable[[Tensor], Tensor],
+    fake: Float[Tensor, "batch x y z"],
+    true: Float[Tensor, "batch x y z"],
+    share: Float[Tensor, " batch"],
+) -> Tensor:
+    """E[(‖∇_ô D(ô|x)‖₂ - 1)²] at ô = η t + (1-η) o; multiply by λ.
+
+    Args:
+        critic: o to D(o|x), a vector of similarities a sample; its mean is the critic's value.
+        fake: o.
+        true: t.
+        share: η in [0, 1] of every sample.
+
+    Source: Gulrajani et al., "Improved Training of Wasserstein GANs", NeurIPS 2017, eq. 3; the paper, eq. 3.
+    """
+    between = (share[:, None, None, None] * true + (1 - share[:, None, None, None]) * fake).detach()
+    between.requires_grad_(True)
+    value = critic(between).mean(dim=1).sum()  # samples don't meet in the critic: one gradient serves all
+    (gradient,) = torch.autograd.grad(value, between, create_graph=True)
+    # The root's slope is infinite at zero, where a critic that knows nothing yet starts.
+    length = torch.sqrt((gradient * gradient).sum(dim=(1, 2, 3)) + 1e-12)
+    return ((length - 1) ** 2).mean()

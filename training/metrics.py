@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
+
+ACTIVE_VARIANCE = 0.01
+"""A latent dimension is active where the posterior mean varies more than this over the data."""
 
 
 def iou(a: Bool[np.ndarray, "*shape"], b: Bool[np.ndarray, "*shape"]) -> float:
@@ -28,3 +32,118 @@ def changed_voxel_iou(
 ) -> float:
     """IoU of the sets of voxels that changed against the undeformed body."""
     return iou(predicted ^ rest, truth ^ rest)
+
+
+def active_latents(mean: Float[np.ndarray, "n latent"]) -> int:
+    """How many latent dimensions carry anything: those whose posterior mean has a variance above 0.01 over the data.
+
+    Source: Burda, Grosse, Salakhutdinov, "Importance Weighted Autoencoders", ICLR 2016, section 5.2.
+    """
+    return int((mean.var(axis=0) > ACTIVE_VARIANCE).sum())
+
+
+def displacement_error(
+    predicted: Float[np.ndarray, "axis=3 x y z"],
+    truth: Float[np.ndarray, "axis=3 x y z"],
+    inside: Bool[np.ndarray, "x y z"],
+    voxels: int = 64,
+) -> dict[str, float]:
+    """Mean and 95th percentile of |u - û| over the body, in voxels and as a share of the largest |u| there.
+
+    Args:
+        predicted: û in edges of the grid.
+        truth: u likewise.
+        inside: Where the body is; outside of it nothing is compared.
+        voxels: Voxels along an edge of the output grid.
+
+    Raises:
+        ValueError: The body is empty.
+    """
+    if not inside.any():
+        raise ValueError("there is no displacement error of an empty body")
+    error = np.linalg.norm((predicted - truth)[:, inside].astype(np.float64), axis=0)
+    peak = float(np.linalg.norm(truth[:, inside].astype(np.float64), axis=0).max())
+    mean, p95 = float(error.mean()), float(np.quantile(error, 0.95))
+    # A body that does not move has no peak to measure by; a perfect answer to it is still perfect.
+    return {
+        "mean_voxels": mean * voxels,
+        "p95_voxels": p95 * voxels,
+        "mean_of_peak": mean / peak if peak > 0 else float(mean > 0),
+        "p95_of_peak": p95 / peak if peak > 0 else float(p95 > 0),
+    }
+
+
+def surface(occupancy: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Voxels of a body with a face to the outside; what lies beyond the grid is outside."""
+    padded = np.pad(occupancy, 1)
+    return occupancy & ~ndimage.binary_erosion(padded)[1:-1, 1:-1, 1:-1]
+
+
+def surface_distances(
+    predicted: Bool[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]
+) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, " t"]]:
+    """From every surface voxel of one body to the nearest of the other, in voxels, both ways.
+
+    Raises:
+        ValueError: One of them is empty: there is no nearest voxel of nothing.
+    """
+    if not predicted.any() or not truth.any():
+        raise ValueError("an empty body has no surface to measure a distance to")
+    of_predicted, of_truth = surface(predicted), surface(truth)
+    to_truth = ndimage.distance_transform_edt(~of_truth)[of_predicted]
+    to_predicted = ndimage.distance_transform_edt(~of_predicted)[of_truth]
+    return np.asarray(to_truth), np.asarray(to_predicted)
+
+
+def chamfer_distance(predicted: Bool[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]) -> float:
+    """Mean distance from each surface to the other, averaged over the two ways, in voxels."""
+    to_truth, to_predicted = surface_distances(predicted, truth)
+    return float((to_truth.mean() + to_predicted.mean()) / 2)
+
+
+def f_score(
+    predicted: Bool[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"], within_voxels: float = 1.0
+) -> float:
+    """Harmonic mean of precision and recall of the surface, each within a distance of one voxel.
+
+    Source: Tatarchenko et al., "What Do Single-view 3D Reconstruction Networks Learn?", CVPR 2019, section 5.
+    """
+    to_truth, to_predicted = surface_distances(predicted, truth)
+    precision, recall = float((to_truth <= within_voxels).mean()), float((to_predicted <= within_voxels).mean())
+    return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+
+
+def visible_and_occluded_iou(
+    predicted: Bool[np.ndarray, "x y z"],
+    truth: Bool[np.ndarray, "x y z"],
+    observed: Bool[np.ndarray, "x y z"],
+    within_voxels: float = 1.5,
+) -> tuple[float, float]:
+    """IoU where the camera saw the surface, and where it did not.
+
+    Args:
+        predicted: The reconstruction.
+        truth: The body.
+        observed: Voxels that the camera saw occupied.
+        within_voxels: A voxel this near to an observed one counts as visible; 1.5 takes in all but the corners of the
+            27 around it, as far as a noisy depth may be off.
+    """
+    if not observed.any():
+        return 1.0, iou(predicted, truth)
+    visible = ndimage.distance_transform_edt(~observed) <= within_voxels
+    return iou(predicted & visible, truth & visible), iou(predicted & ~visible, truth & ~visible)
+
+
+def calibration_error(
+    probability: Float[np.ndarray, "*shape"], truth: Bool[np.ndarray, "*shape"], bins: int = 15
+) -> float:
+    """Expected calibration error: how far the share of true voxels is from the probability, over equal bins of it.
+
+    Voxels in the outermost bins count too; leave out what is certainly empty before, or it hides the rest.
+
+    Source: Guo et al., "On Calibration of Modern Neural Networks", ICML 2017, eq. 3.
+    """
+    place = np.minimum((probability.ravel() * bins).astype(int), bins - 1)
+    said = np.bincount(place, weights=probability.ravel().astype(np.float64), minlength=bins)
+    found = np.bincount(place, weights=truth.ravel().astype(np.float64), minlength=bins)
+    return float(np.abs(said - found).sum() / max(probability.size, 1))

@@ -5,13 +5,18 @@ from __future__ import annotations
 import csv
 import dataclasses
 import os
+import pickle
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
+from torch.utils.tensorboard import SummaryWriter
+
+from training.data.store import code_version
 
 
 class RunError(Exception):
@@ -20,14 +25,14 @@ class RunError(Exception):
 
 @runtime_checkable
 class Stateful(Protocol):
-    """What a checkpoint keeps beside the weights."""
+    """Whatever a checkpoint keeps: a network, an optimizer, a schedule, a critic with its own."""
 
     def state_dict(self) -> dict[str, Any]: ...
     def load_state_dict(self, state_dict: dict[str, Any], /) -> object: ...
 
 
 class Run:
-    """`runs/<name>/`: checkpoint.pt, log.csv.
+    """`runs/<name>/`: checkpoint.pt, log.csv, and event files for TensorBoard.
 
     Args:
         root: Folder of this run; made if need be.
@@ -43,23 +48,29 @@ class Run:
         self._checkpoint_every = checkpoint_every
         self._checkpointed = time.monotonic()
         self._dataset: dict[str, Any] = {}
+        self._code = code_version()
+        self._curves: SummaryWriter | None = None
+        self._first = 0
 
     @property
     def checkpoint_path(self) -> Path:
         return self.root / "checkpoint.pt"
 
-    def resume(
-        self, network: nn.Module, optimizer: Stateful, schedule: Stateful, config: Any, dataset: dict[str, Any]
-    ) -> int:
-        """Load the last checkpoint, if there is one, and return the step to go on from.
+    def resume(self, parts: Mapping[str, Stateful], config: Any, dataset: dict[str, Any]) -> int:
+        """Load the last checkpoint into its parts, if there is one, and return the step to go on from.
+
+        What was logged after that checkpoint is forgotten: it will be logged again.
 
         Raises:
-            RunError: The checkpoint is of another configuration or data set.
+            RunError: The checkpoint is of another configuration or data set, or cannot be read.
         """
         self._dataset = dataset
         if not self.checkpoint_path.exists():
             return 0
-        state = torch.load(self.checkpoint_path, weights_only=True)
+        try:
+            state = torch.load(self.checkpoint_path, weights_only=True)
+        except (RuntimeError, EOFError, KeyError, pickle.UnpicklingError) as error:
+            raise RunError(f"{self.checkpoint_path} cannot be read ({error}); choose another --run") from error
         # The data set first: a network's configuration may hold figures of its data, and so differ with it.
         if state["dataset"]["digest"] != dataset["digest"]:
             raise RunError(f"{self.checkpoint_path} was trained on another data set; choose another --run")
@@ -70,31 +81,38 @@ class Run:
                 f"{self.checkpoint_path} was trained with another {', '.join(different)}; "
                 "choose another --run or the same configuration"
             )
-        network.load_state_dict(state["network"])
-        optimizer.load_state_dict(state["optimizer"])
-        schedule.load_state_dict(state["schedule"])
-        self.say(f"going on from step {state['step']}")
-        return int(state["step"])
+        for name, part in parts.items():
+            part.load_state_dict(state[name])
+        if state.get("code") != self._code:
+            self.say(f"the code has changed since the checkpoint: {state.get('code')} then, {self._code} now")
+        self._first = int(state["step"])
+        self._forget_after(self._first)
+        self.say(f"going on from step {self._first}")
+        return self._first
 
     def checkpoint_due(self) -> bool:
         """Whether the last checkpoint is so old that losing what came after it would hurt."""
         return time.monotonic() - self._checkpointed >= self._checkpoint_every
 
-    def checkpoint(self, step: int, network: nn.Module, optimizer: Stateful, schedule: Stateful, config: Any) -> None:
-        """Write everything that `resume` needs, whole or not at all."""
+    def checkpoint(self, step: int, parts: Mapping[str, Stateful], config: Any) -> None:
+        """Write everything that `resume` needs, whole or not at all.
+
+        Raises:
+            RunError: It cannot be written, on a full disk for instance; the last one stays.
+        """
         partial = self.checkpoint_path.with_suffix(".partial")
-        torch.save(
-            {
-                "step": step,
-                "network": network.state_dict(),
-                "optimizer": optimizer.state_dict(),
-                "schedule": schedule.state_dict(),
-                "config": _plain(dataclasses.asdict(config)),
-                "dataset": self._dataset,
-            },
-            partial,
-        )
-        os.replace(partial, self.checkpoint_path)
+        state = {name: part.state_dict() for name, part in parts.items()}
+        about = {
+            "step": step, "config": _plain(dataclasses.asdict(config)), "dataset": self._dataset, "code": self._code
+        }  # fmt: skip
+        try:
+            torch.save(state | about, partial)
+            os.replace(partial, self.checkpoint_path)
+        except (OSError, RuntimeError) as error:
+            partial.unlink(missing_ok=True)
+            raise RunError(
+                f"step {step} cannot be written ({error}); the last checkpoint is kept: {self.checkpoint_path}"
+            ) from error
         self._checkpointed = time.monotonic()
 
     def check_finite(self, loss: Tensor, step: int) -> None:
@@ -105,7 +123,7 @@ class Run:
             )
 
     def log(self, step: int, figures: dict[str, float]) -> None:
-        """One row of validation figures to log.csv and to the terminal."""
+        """One row of validation figures to log.csv, to the curves and to the terminal."""
         path = self.root / "log.csv"
         new = not path.exists()
         with path.open("a", newline="") as file:
@@ -113,16 +131,40 @@ class Run:
             if new:
                 writer.writerow(["step", *figures])
             writer.writerow([step, *(f"{value:.6f}" for value in figures.values())])
+        self._plot("validation", step, figures)
         self.say(f"step {step}: " + "  ".join(f"{name} {value:.4f}" for name, value in figures.items()))
 
+    def close(self) -> None:
+        """Put the curves on disk."""
+        if self._curves is not None:
+            self._curves.close()
+            self._curves = None
+
+    def _plot(self, group: str, step: int, figures: dict[str, float]) -> None:
+        if self._curves is None:
+            # Steps that a killed run plotted after its last checkpoint are hidden.
+            self._curves = SummaryWriter(str(self.root), purge_step=self._first or None)
+        for name, value in figures.items():
+            self._curves.add_scalar(f"{group}/{name}", value, step)
+
+    def _forget_after(self, step: int) -> None:
+        path = self.root / "log.csv"
+        if not path.exists():
+            return
+        with path.open(newline="") as file:
+            header, *rows = csv.reader(file)
+        with path.open("w", newline="") as file:
+            csv.writer(file).writerows([header, *(row for row in rows if int(row[0]) <= step)])
+
     def progress(self, done: int, total: int, first: int, started: float, losses: dict[str, float]) -> None:
-        """A line every few seconds: step, rate, time left, losses."""
+        """A line and a point of the curves every few seconds: step, rate, time left, losses."""
         now = time.monotonic()
         if now - self._printed < self._print_every:
             return
         self._printed = now
         rate = (done - first) / max(now - started, 1e-9)
         terms = "  ".join(f"{name} {value:.4f}" for name, value in losses.items())
+        self._plot("training", done, losses)
         self.say(f"{done}/{total}  {rate:.2f} steps/s  {(total - done) / rate / 60:.0f} min left  {terms}")
 
     def say(self, line: str) -> None:

@@ -1,3 +1,4 @@
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from tests.training import tiny
 from training.data.batches import DeformationSet, ViewSet
 from training.evaluate import THRESHOLDS, evaluate, evaluate_deformation, evaluate_reconstruction, tune_threshold
 from training.networks.deformation import DeformationNetwork
+from training.networks.physnet import PhysNet
 from training.networks.reconstruction import ReconstructionNetwork
 
 
@@ -65,6 +67,32 @@ def test_the_truth_scores_full_marks_and_standing_still_none(deformations: Path)
     assert still["peak_ratio_median"] == 0.0
     # A body sheared by s·z and clamped at 0 moves by half of its peak on average.
     assert still["displacement_error"] == pytest.approx(0.5, abs=0.05)
+
+
+def test_where_nothing_moved_there_is_no_figure_of_what_moved(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "test")
+    still = dataclasses.replace(samples, deformed=samples.rest[samples.body])
+    figures = evaluate_deformation(Knowing(0.0), still, 0.5)
+    assert figures["samples_moved"] == 0
+    assert figures["iou"] == 1.0
+    assert not {"skill", "iou_moved", "iou_changed_voxels"} & figures.keys()
+    assert all(np.isfinite(value) for value in figures.values())
+
+
+def test_displacement_errors_are_in_voxels_and_shares(deformations: Path) -> None:
+    """Standing still misses all of it: u = s·z from 0 to the peak, half of it on average, 95 % at the 95th."""
+    samples = DeformationSet.load(deformations, "test")
+    still = evaluate_deformation(Knowing(0.0), samples, 0.5)
+    assert still["displacement_error_voxels"] == pytest.approx(64 * float(samples.peak.mean()) / 2, rel=0.1)
+    assert still["displacement_error_p95"] == pytest.approx(0.95, abs=0.06)
+
+
+def test_a_voxel_decoder_is_judged_like_a_field(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "test")
+    torch.manual_seed(0)
+    figures = evaluate_deformation(PhysNet(tiny.PHYSNET).eval(), samples, 0.5)
+    assert 0.0 <= figures["iou"] <= 1.0
+    assert "displacement_error" not in figures
 
 
 def test_what_was_seen_free_overrules_the_network(views: Path) -> None:

@@ -2,7 +2,17 @@ import numpy as np
 import pytest
 import torch
 
-from training.losses import kl_divergence, modified_bce, modified_bce_with_logits, relative_displacement
+from training.losses import (
+    beta_at,
+    generator_adversarial_loss,
+    gradient_penalty,
+    kl_divergence,
+    modified_bce,
+    modified_bce_with_logits,
+    relative_displacement,
+    vae_gan_loss,
+    wasserstein_loss,
+)
 
 
 def test_modified_bce_by_hand() -> None:
@@ -67,3 +77,69 @@ def test_a_perfect_field_has_a_gradient_that_is_finite() -> None:
     torch.autograd.backward(loss)
     assert predicted.grad is not None
     assert torch.isfinite(predicted.grad).all()
+
+
+# --- adversarial ---
+
+
+def test_the_total_loss_weighs_95_to_5() -> None:
+    assert float(vae_gan_loss(torch.tensor(2.0), torch.tensor(-4.0), 0.95)) == pytest.approx(1.7)
+
+
+def test_beta_falls_in_a_straight_line_once_the_critic_counts() -> None:
+    values = [beta_at(step, start=100, ramp=50, beta=0.95) for step in (0, 100, 125, 150, 10_000)]
+    assert values == pytest.approx([1.0, 1.0, 0.975, 0.95, 0.95])
+    assert beta_at(100, 100, 0, 0.95) == 1.0
+    assert beta_at(101, 100, 0, 0.95) == pytest.approx(0.95)
+
+
+def test_wasserstein_terms_by_hand() -> None:
+    fake, true = torch.tensor([[1.0, 2.0], [3.0, 4.0]]), torch.tensor([[0.0, 1.0], [5.0, 6.0]])
+    assert float(wasserstein_loss(fake, true)) == pytest.approx(2.5 - 3.0)
+    assert float(generator_adversarial_loss(fake)) == pytest.approx(-2.5)
+
+
+@pytest.mark.parametrize("length", [0.0, 0.5, 1.0, 3.0])
+def test_the_gradient_of_a_linear_critic_is_its_weights(length: float) -> None:
+    """D(o) = w·o has the gradient w everywhere: the penalty is (‖w‖ - 1)², wherever η puts ô."""
+    generator = torch.Generator().manual_seed(0)
+    weight = torch.randn(4, 4, 4, generator=generator)
+    weight *= length / weight.norm()
+    fake, true = torch.rand(2, 3, 4, 4, 4, generator=generator)
+
+    def critic(outcome: torch.Tensor) -> torch.Tensor:
+        return (weight * outcome).sum(dim=(1, 2, 3))[:, None]
+
+    penalty = gradient_penalty(critic, fake, true, torch.rand(3, generator=generator))
+    assert penalty.item() == pytest.approx((length - 1.0) ** 2, abs=1e-5)
+
+
+def test_the_similarity_vector_counts_by_its_mean() -> None:
+    """Two similarities w·o and 3 w·o have the mean 2 w·o, of slope 2 where ‖w‖ = 1."""
+    weight = torch.full((2, 2, 2), 8.0**-0.5)
+
+    def critic(outcome: torch.Tensor) -> torch.Tensor:
+        value = (weight * outcome).sum(dim=(1, 2, 3))
+        return torch.stack([value, 3 * value], dim=1)
+
+    grids = torch.rand(2, 1, 2, 2, 2, generator=torch.Generator().manual_seed(0))
+    assert gradient_penalty(critic, *grids, torch.tensor([0.3])).item() == pytest.approx(1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize(("share", "place"), [(0.0, 3.0), (1.0, 5.0), (0.25, 3.5)])
+def test_the_penalty_is_taken_between_fake_and_true(share: float, place: float) -> None:
+    """D(o) = ½ o² of one voxel has the slope o: at ô = η t + (1-η) o with o = 3 and t = 5 it tells where ô lies."""
+    fake, true = torch.full((1, 1, 1, 1), 3.0), torch.full((1, 1, 1, 1), 5.0)
+    penalty = gradient_penalty(lambda o: 0.5 * (o**2).flatten(1), fake, true, torch.tensor([share]))
+    assert penalty.item() == pytest.approx((place - 1.0) ** 2, rel=1e-5)
+
+
+def test_the_penalty_teaches_the_critic_and_not_the_generator() -> None:
+    """d/dw (|w| - 1)² = 2(w - 1) for D(o) = w·o of one voxel."""
+    weight = torch.tensor(3.0, requires_grad=True)
+    fake = torch.full((1, 1, 1, 1), 0.2, requires_grad=True)
+    penalty = gradient_penalty(lambda o: weight * o.flatten(1), fake, torch.ones(1, 1, 1, 1), torch.tensor([0.5]))
+    torch.autograd.backward(penalty)
+    assert weight.grad is not None
+    assert float(weight.grad) == pytest.approx(4.0, rel=1e-5)
+    assert fake.grad is None

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from training.runs import Run, RunError
+from training.runs import Run, RunError, Stateful
 
 
 @dataclass(frozen=True)
@@ -34,14 +34,17 @@ class Parts:
             self.schedule.step()
 
     def resume(self, run: Run, config: object = Config(), dataset: dict[str, object] = DATASET) -> int:
-        return run.resume(self.network, self.optimizer, self.schedule, config, dataset)
+        return run.resume(self.parts(), config, dataset)
+
+    def parts(self) -> dict[str, Stateful]:
+        return {"network": self.network, "optimizer": self.optimizer, "schedule": self.schedule}
 
 
 def checkpointed(root: Path) -> Parts:
     run, parts = Run(root), Parts()
     assert parts.resume(run) == 0
     parts = Parts(steps=4)
-    run.checkpoint(4, parts.network, parts.optimizer, parts.schedule, Config())
+    run.checkpoint(4, parts.parts(), Config())
     return parts
 
 
@@ -85,8 +88,10 @@ def test_a_loss_that_is_no_number_stops_the_run_and_names_the_step(tmp_path: Pat
 
 
 def test_the_log_is_a_table_with_one_header(tmp_path: Path) -> None:
-    Run(tmp_path).log(500, {"iou": 0.5, "skill": 0.25})
-    Run(tmp_path).log(1000, {"iou": 0.75, "skill": 0.5})
+    run = Run(tmp_path)
+    run.log(500, {"iou": 0.5, "skill": 0.25})
+    run.log(1000, {"iou": 0.75, "skill": 0.5})
+    run.close()
     with (tmp_path / "log.csv").open(newline="") as file:
         rows = list(csv.reader(file))
     assert rows == [["step", "iou", "skill"], ["500", "0.500000", "0.250000"], ["1000", "0.750000", "0.500000"]]
@@ -100,6 +105,47 @@ def test_progress_tells_rate_and_time_left_but_not_every_step(
     started = time.monotonic() - 50.0
     run.progress(200, 1000, 100, started, {"bce": 0.125})
     run.progress(201, 1000, 100, started, {"bce": 0.125})
+    run.close()
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1
     assert lines[0].startswith("[blocks] 200/1000  2.00 steps/s  7 min left  bce 0.1250")
+
+
+def test_what_was_logged_after_the_checkpoint_is_forgotten(tmp_path: Path) -> None:
+    checkpointed(tmp_path)  # at step 4
+    run = Run(tmp_path)
+    for step in (2, 4, 6):
+        run.log(step, {"iou": 0.5})
+    run.close()
+    Parts().resume(Run(tmp_path))
+    assert [line.split(",")[0] for line in (tmp_path / "log.csv").read_text().splitlines()] == ["step", "2", "4"]
+
+
+def test_another_version_of_the_code_is_pointed_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    checkpointed(tmp_path)
+    monkeypatch.setattr("training.runs.code_version", lambda: "abcdef0")
+    Parts().resume(Run(tmp_path))
+    assert "the code has changed since the checkpoint" in capsys.readouterr().err
+
+
+def test_a_damaged_checkpoint_is_named(tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.pt").write_bytes(b"half a checkp")
+    with pytest.raises(RunError, match=r"checkpoint\.pt cannot be read"):
+        Parts().resume(Run(tmp_path))
+
+
+def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts = checkpointed(tmp_path)
+    before = (tmp_path / "checkpoint.pt").read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", full)
+    with pytest.raises(RunError, match=r"step 8 cannot be written .*No space left.* the last checkpoint is kept"):
+        Run(tmp_path).checkpoint(8, parts.parts(), Config())
+    assert (tmp_path / "checkpoint.pt").read_bytes() == before

@@ -10,14 +10,19 @@ from torch import nn
 
 from service.core.grids import pack_bits
 from service.core.lookup import warp
-from training.data.everyday import coarsen
-from training.data.store import Store
-from training.fit_deformation import FitDeformationConfig
-from training.fit_reconstruction import FitReconstructionConfig
-from training.metrics import iou
+from training.configs import AdversaryConfig, FitDeformationConfig, FitReconstructionConfig, OptimizerConfig
+from training.data.samples import Material, Outcome, Sample, group_of
+from training.data.store import STORE_VERSION, Store
+from training.networks.conditions import ConditionConfig
+from training.networks.critic import CriticConfig
 from training.networks.deformation import DeformationConfig, DeformationNetwork
+from training.networks.physnet import PhysNetConfig
+from training.networks.recgan import RecGanConfig
 from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
 from training.runs import Run
+from training.simulation.clamp import Reaction
+from training.simulation.loads import Load
+from training.simulation.rasterise import Rasterised
 
 # Tests share the machine with whatever else runs on it.
 torch.set_num_threads(1)
@@ -26,12 +31,27 @@ DEFORMATION = DeformationConfig(
     encoder_channels=(4, 4, 4), generator_channels=(4, 4, 4), generator_blocks=(1, 1, 1), latent=3, condition=8
 )
 RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4), blocks=(0, 1, 0), head=8)
+OPTIMIZER = OptimizerConfig(warm_up=2)
 FIT_DEFORMATION = FitDeformationConfig(
-    network=DEFORMATION, bodies=2, loads=1, steps=6, warm_up=2, points=64, validate_every=3, validation_samples=2
-)
+    network=DEFORMATION, optimizer=OPTIMIZER, bodies=2, loads=1, steps=6, points=64, validate_every=3,
+    validation_samples=2,
+)  # fmt: skip
 FIT_RECONSTRUCTION = FitReconstructionConfig(
-    network=RECONSTRUCTION, batch=2, steps=6, warm_up=2, validate_every=3, validation_samples=2
+    network=RECONSTRUCTION, optimizer=OPTIMIZER, batch=2, steps=6, validate_every=3, validation_samples=2
 )
+
+PHYSNET = PhysNetConfig(channels=(2, 2, 3, 4), hidden=6, latent=3)
+RECGAN = RecGanConfig(channels=(2, 2, 3, 4), hidden=6)
+
+
+def adversary(condition: ConditionConfig | None, given_channels: int = 1) -> AdversaryConfig:
+    """A critic that trains from the second step and counts from the third."""
+    critic = CriticConfig(given_channels=given_channels, channels=(2, 2, 2, 2), condition=condition)
+    return AdversaryConfig(
+        critic=critic, optimizer=OptimizerConfig(learning_rate=1e-3, warm_up=0, betas=(0.5, 0.999)),
+        start=2, ramp=2, head_start=1,
+    )  # fmt: skip
+
 
 GROUPS = (0, 1, 2, 3, 4, 5)
 """Group 0 validates, 1 and 2 test, the rest train (`training.data.batches.split_of`)."""
@@ -60,25 +80,16 @@ def deformation_group(group: int) -> dict[str, np.ndarray]:
     """One block, pushed sideways on its top at two strengths."""
     rest = box(group)
     height = 0.3 + 0.05 * group
-    rows = []
+    samples = []
     for step, log_load in enumerate((-2.5, -2.2)):
         shift = np.array([SHEAR * 10.0**log_load, 0.0, 0.0])
         deformed, backward = sheared(rest, shift)
-        displacement, coverage = coarsen(backward)
-        rows.append(
-            {
-                "condition": np.array([0.5, 0.5, height, 1.0, 0.0, 0.0, log_load, 0.3, 0.1], np.float32),
-                "deformed": pack_bits(deformed),
-                "displacement": displacement,
-                "coverage": coverage,
-                "peak": np.float32(shift[0] * height),
-                "identity_iou": np.float32(iou(rest, deformed)),
-                "law": np.array("linear"),
-                "sample": np.array([0, step], np.float32),
-            }
-        )
-    columns = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
-    return {"rest": pack_bits(rest), "family": np.array("box"), **columns}
+        forward = np.where(rest, shift.astype(np.float32)[:, None, None, None] * CENTRES[2], np.nan).astype(np.float32)
+        result = Rasterised(deformed, backward, forward, float(shift[0] * height), float(shift[0] * height / 2))
+        load = Load(np.array([0.5, 0.5, height]), np.array([1.0, 0.0, 0.0]), 10.0**log_load, 0.1)
+        outcome = Outcome("linear", 1e-4, np.nan, Reaction(-load.load_number * load.direction, np.zeros(3)))
+        samples.append(Sample.of(rest, result, load, Material(1e5, 0.3, 0.2), outcome, (0, float(step))))
+    return group_of("box", rest, 0.2, samples)
 
 
 def view_group(group: int) -> dict[str, np.ndarray]:
@@ -138,7 +149,7 @@ def conditions(count: int, log_load: float = -2.5) -> torch.Tensor:
 
 
 DATASET = {
-    "store_version": 1,
+    "store_version": STORE_VERSION,
     "configuration": {"set": "boxes", "seed": 0},
     "code": "0000000",
     "groups": len(GROUPS),
@@ -153,6 +164,7 @@ def save_checkpoint(network: nn.Module, config: object, root: Path) -> Path:
     run = Run(root)
     optimizer = torch.optim.AdamW(network.parameters())
     schedule = torch.optim.lr_scheduler.ConstantLR(optimizer)
-    run.resume(network, optimizer, schedule, config, DATASET)
-    run.checkpoint(7, network, optimizer, schedule, config)
+    parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
+    run.resume(parts, config, DATASET)
+    run.checkpoint(7, parts, config)
     return run.checkpoint_path

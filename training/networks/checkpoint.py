@@ -6,23 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import nn
 
-from training.networks.deformation import DeformationConfig, DeformationNetwork
-from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.networks.build import build_saved
 
 
-def load_network(checkpoint: Path) -> tuple[DeformationNetwork | ReconstructionNetwork, dict[str, Any]]:
+def load_network(checkpoint: Path) -> tuple[nn.Module, dict[str, Any]]:
     """The network of a checkpoint, ready to answer, and the checkpoint's own account of itself.
 
-    Which network it is shows in its configuration: only a deformation network has a latent.
+    Raises:
+        ValueError: Its configuration is of no network of ours.
     """
     state: dict[str, Any] = torch.load(checkpoint, weights_only=True)
-    saved: dict[str, Any] = state["config"]["network"]
-    options: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in saved.items()}
-    network: DeformationNetwork | ReconstructionNetwork
-    if "latent" in options:
-        network = DeformationNetwork(DeformationConfig(**options))
-    else:
-        network = ReconstructionNetwork(ReconstructionConfig(**options))
+    network = build_saved(state["config"]["network"])
     network.load_state_dict(state["network"])
     return network.eval(), state

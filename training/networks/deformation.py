@@ -27,6 +27,7 @@ from training.networks.blocks import (
     depth_to_space,
     space_to_depth,
 )
+from training.networks.conditions import PLANES, SERVED_CENTRE, SERVED_SCALE, condition_planes
 
 BLOCK = 4
 FIELD_SIZE = 32
@@ -36,8 +37,6 @@ CLAMP_HEIGHT = 4.0 / 64.0
 """The body is clamped on the floor: the field is scaled by tanh(z / this), in edges of the grid."""
 
 CONDITION_SIZE = 9
-LOG_LOAD_CENTRE, LOG_LOAD_SCALE = -3.0, 1.0
-PLANES = 11
 
 
 @dataclass(frozen=True)
@@ -70,26 +69,6 @@ class ShapeEncoder(nn.Module):
         coarse = self.coarse(middle)
         mean, log_variance = self.latent(coarse.mean(dim=(2, 3, 4))).chunk(2, dim=1)
         return fine, middle, coarse, mean, log_variance
-
-
-def condition_planes(condition: Float[Tensor, "batch 9"], size: int) -> Float[Tensor, "batch 11 x y z"]:
-    """The load as seen from each cell of a `size`³ lattice (the `spatial` encoding).
-
-    Channels: patch weight exp(-r²/2R²); R/√(r²+R²); the direction (3); the vector from the contact (3); the
-    displacement of an infinite incompressible body under a regularised point force (3), times R.
-
-    Source: regularised Kelvinlet, de Goes and James, ACM TOG 36(4), 2017, eq. 6, at ν = ½ up to a constant.
-    """
-    centres = cell_centres(size, condition)
-    contact, direction = condition[:, 0:3, None, None, None], condition[:, 3:6, None, None, None]
-    radius = condition[:, 8, None, None, None, None]
-    offset = centres[None] - contact
-    squared = (offset * offset).sum(dim=1, keepdim=True)
-    patch = torch.exp(-squared / (2 * radius * radius))
-    decay = radius * torch.rsqrt(squared + radius * radius)
-    along = (offset * direction).sum(dim=1, keepdim=True)
-    kelvinlet = direction * decay * (1 + 0.5 * decay * decay) + offset * along * decay**3 / (radius * radius)
-    return torch.cat([patch, decay, direction.expand_as(offset), offset, kelvinlet], dim=1)
 
 
 class LoadGenerator(nn.Module):
@@ -140,9 +119,7 @@ class LoadGenerator(nn.Module):
 
 
 def _normalised(condition: Tensor) -> Tensor:
-    log_load = (condition[:, 6:7] - LOG_LOAD_CENTRE) / LOG_LOAD_SCALE
-    scale = condition.new_tensor([2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 4.0, 10.0])
-    return torch.cat([condition[:, :6], log_load, condition[:, 7:]], dim=1) * scale
+    return (condition - condition.new_tensor(SERVED_CENTRE)) * condition.new_tensor(SERVED_SCALE)
 
 
 class DeformationNetwork(nn.Module):
@@ -214,6 +191,15 @@ def at_voxels(
     if rest.shape[0] > 1:
         free = free.repeat_interleave(field.shape[0] // rest.shape[0], dim=0)
     return torch.cat([fine[..., :1] * free, fine[..., 1:]], dim=-1)
+
+
+def soft_warp(
+    rest: Float[Tensor, "loads 1 64 64 64"], field: Float[Tensor, "loads 3 32 32 32"]
+) -> Float[Tensor, "loads 64 64 64"]:
+    """Deformed occupancy with a gradient in the field, for a critic to judge; `warp` is what serves."""
+    source = cell_centres(64, field) - at_voxels(field, rest)
+    points = source.flatten(2).transpose(1, 2)
+    return sample_field(rest, points, outside="zeros").reshape(-1, 64, 64, 64)
 
 
 @torch.no_grad()

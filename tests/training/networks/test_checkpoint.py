@@ -1,10 +1,15 @@
+import dataclasses
 from pathlib import Path
 
+import pytest
 import torch
 
 from tests.training import tiny
+from training.networks.build import build_saved
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork
+from training.networks.physnet import PhysNet
+from training.networks.recgan import RecGan
 from training.networks.reconstruction import ReconstructionNetwork
 
 
@@ -30,3 +35,20 @@ def test_the_kind_is_recognised(tmp_path: Path) -> None:
     view = torch.zeros(1, 2, 64, 64, 64)
     with torch.no_grad():
         assert torch.equal(network(view), loaded(view))
+
+
+def test_the_papers_networks_come_back_with_their_encoding(tmp_path: Path) -> None:
+    network = PhysNet(tiny.PHYSNET)
+    config = dataclasses.replace(tiny.FIT_DEFORMATION, network=tiny.PHYSNET)
+    loaded, _ = load_network(tiny.save_checkpoint(network, config, tmp_path / "physnet"))
+    assert isinstance(loaded, PhysNet)
+    assert loaded.config == tiny.PHYSNET
+    config = dataclasses.replace(tiny.FIT_RECONSTRUCTION, network=tiny.RECGAN)
+    loaded, _ = load_network(tiny.save_checkpoint(RecGan(tiny.RECGAN), config, tmp_path / "recgan"))
+    assert isinstance(loaded, RecGan)
+    assert loaded.config == tiny.RECGAN
+
+
+def test_a_configuration_of_no_network_is_named() -> None:
+    with pytest.raises(ValueError, match="no network has a configuration of layers, width"):
+        build_saved({"layers": 3, "width": 8})

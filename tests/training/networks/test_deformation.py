@@ -1,4 +1,3 @@
-import numpy as np
 import pytest
 import torch
 
@@ -8,47 +7,14 @@ from training.networks.deformation import (
     CLAMP_HEIGHT,
     DeformationNetwork,
     at_voxels,
-    condition_planes,
     sample_field,
+    soft_warp,
     warp,
 )
 
 
 def body() -> torch.Tensor:
     return torch.from_numpy(tiny.box(3)).float()[None, None]
-
-
-# --- the load as planes ---
-
-PUSH = torch.tensor([[0.5625, 0.3125, 0.8125, 0.6, 0.0, -0.8, -2.0, 0.3, 0.1]])
-"""Its contact is the centre of cell (4, 2, 6) of an 8³ lattice."""
-
-
-def test_planes_at_the_contact() -> None:
-    """r = 0: weight 1, decay 1, no offset, and the kelvinlet is 3/2 of the force."""
-    at = condition_planes(PUSH, 8)[0, :, 4, 2, 6]
-    torch.testing.assert_close(at, torch.tensor([1.0, 1.0, 0.6, 0.0, -0.8, 0.0, 0.0, 0.0, 0.9, 0.0, -1.2]))
-
-
-def test_planes_one_cell_beside_the_contact() -> None:
-    """r = (0.125, 0, 0), R = 0.1: hand-computed from the formulas of the docstring."""
-    r, R = 0.125, 0.1
-    decay = R / np.hypot(r, R)
-    at = condition_planes(PUSH, 8)[0, :, 5, 2, 6].numpy()
-    assert at[0] == pytest.approx(np.exp(-(r**2) / (2 * R**2)), rel=1e-5)
-    assert at[1] == pytest.approx(decay, rel=1e-5)
-    np.testing.assert_allclose(at[5:8], [0.125, 0.0, 0.0], atol=1e-6)
-    # R [f (1/ε + R²/2ε³) + r (r·f)/ε³] with ε = √(r² + R²)
-    epsilon = np.hypot(r, R)
-    force, offset = np.array([0.6, 0.0, -0.8]), np.array([r, 0.0, 0.0])
-    expected = R * (force * (1 / epsilon + R**2 / (2 * epsilon**3)) + offset * (offset @ force) / epsilon**3)
-    np.testing.assert_allclose(at[8:11], expected, rtol=1e-5, atol=1e-6)
-
-
-def test_planes_know_nothing_of_the_strength() -> None:
-    stronger = PUSH.clone()
-    stronger[:, 6] = -1.0
-    assert torch.equal(condition_planes(PUSH, 4), condition_planes(stronger, 4))
 
 
 # --- looking fields up ---
@@ -112,6 +78,16 @@ def test_one_body_serves_all_loads() -> None:
     together = warp(body(), field)
     for i in range(3):
         torch.testing.assert_close(together[i], warp(body(), field[i : i + 1])[0])
+
+
+def test_the_warp_with_a_gradient_is_the_one_that_serves() -> None:
+    field = 0.05 * torch.rand(1, 3, 32, 32, 32, generator=torch.Generator().manual_seed(0))
+    field.requires_grad_(True)
+    soft = soft_warp(body(), field)
+    torch.testing.assert_close(soft.detach(), warp(body(), field.detach()), atol=2e-4, rtol=0)
+    torch.autograd.backward(soft.sum())
+    assert field.grad is not None
+    assert field.grad.abs().max() > 0
 
 
 # --- the network ---

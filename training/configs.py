@@ -1,0 +1,184 @@
+"""What a training run is made of: frozen, saved in every checkpoint, and by name for the command line.
+
+`paper` is the published architecture and what the authors' released code adds; `realtime` plays the same roles on a
+CPU in a camera's period. `icgan` is the paper's baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
+
+from training.networks.build import DeformationKind, ReconstructionKind
+from training.networks.conditions import ConditionConfig
+from training.networks.critic import CriticConfig
+from training.networks.deformation import DeformationConfig
+from training.networks.physnet import PhysNetConfig
+from training.networks.recgan import RecGanConfig
+from training.networks.reconstruction import ReconstructionConfig
+
+KL_PER_VOXEL = 1.0 / 64**3
+"""Weight of a nat of divergence beside a cross-entropy averaged over the grid.
+
+The evidence bound adds the divergence, summed over the latent, to the cross-entropy summed over the voxels; dividing
+both by the number of voxels leaves this. The released code divides the cross-entropy only, and so asks of each nat
+that it pays for itself 262,144 times: the posterior collapses onto the prior.
+"""
+
+
+@dataclass(frozen=True)
+class OptimizerConfig:
+    """AdamW with gradients clipped, over one rise and fall of the learning rate.
+
+    Attributes:
+        learning_rate: The highest.
+        warm_up: Steps of the rise; 0 holds the rate constant throughout, as the paper does.
+        betas: Decay of the moments.
+        clip: Largest norm of the gradient; None leaves it as it is.
+    """
+
+    learning_rate: float = 1e-3
+    warm_up: int = 200
+    weight_decay: float = 1e-4
+    betas: tuple[float, float] = (0.9, 0.99)
+    clip: float | None = 1.0
+
+
+PAPER_OPTIMIZER = OptimizerConfig(learning_rate=5e-5, warm_up=0, weight_decay=0.0, betas=(0.5, 0.999), clip=None)
+"""Source: the paper, section 4.2."""
+
+
+@dataclass(frozen=True)
+class AdversaryConfig:
+    """The critic and how it is played against.
+
+    Attributes:
+        critic: Its network.
+        optimizer: Its own; the moments must forget quickly, as what is judged changes under it.
+        beta: β of the total loss once the critic counts in full: 0.95 leaves it 5 parts in 100.
+        start: Step at which the critic begins to count; it trains `head_start` steps before.
+        ramp: Steps until it counts in full.
+        head_start: Steps that the critic trains before it counts.
+        penalty: λ of the gradient penalty.
+        critic_steps: Updates of the critic for each of the generator, on the same outcomes with fresh mixtures.
+    """
+
+    critic: CriticConfig = field(default_factory=CriticConfig)
+    optimizer: OptimizerConfig = PAPER_OPTIMIZER
+    beta: float = 0.95
+    start: int = 1000
+    ramp: int = 500
+    head_start: int = 200
+    penalty: float = 10.0
+    critic_steps: int = 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitConfig:
+    """What both networks' runs have in common.
+
+    Attributes:
+        optimizer: Of the generator.
+        adversary: None trains without a critic.
+        alpha: α of the modified cross-entropy.
+        validation_samples: An evenly spread part of the validation split.
+    """
+
+    seed: int = 0
+    steps: int = 2000
+    optimizer: OptimizerConfig = OptimizerConfig()
+    adversary: AdversaryConfig | None = None
+    alpha: float = 0.5
+    validate_every: int = 500
+    validation_samples: int = 200
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitDeformationConfig(FitConfig):
+    """All that a run is made of.
+
+    Attributes:
+        bodies: Bodies of a batch.
+        loads: Loads on each of them: the encoder, half of the work, is paid once a body.
+        points: Voxels of each sample at which a displacement's occupancy is compared; half of them where body and
+            deformed body differ or lie close, the rest anywhere.
+        occupancy_weight: Weight of that cross-entropy beside the relative displacement error, of order one each.
+        kl_weight: Weight of the latent's divergence from its prior, per nat.
+    """
+
+    network: DeformationKind = field(default_factory=DeformationConfig)
+    bodies: int = 8
+    loads: int = 4
+    occupancy_weight: float = 1.0
+    kl_weight: float = 1e-4
+    points: int = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitReconstructionConfig(FitConfig):
+    """All that a run is made of."""
+
+    network: ReconstructionKind = field(default_factory=ReconstructionConfig)
+    batch: int = 16
+
+
+REAL = ConditionConfig(encoding="real")
+SMALL_CRITIC = (16, 32, 64, 64)
+"""Channels of a critic that costs about as much as a realtime generator."""
+
+DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
+    "realtime": FitDeformationConfig(),
+    "realtime-gan": FitDeformationConfig(
+        adversary=AdversaryConfig(
+            critic=CriticConfig(channels=SMALL_CRITIC, condition=ConditionConfig()),
+            optimizer=OptimizerConfig(learning_rate=2e-4, warm_up=0, weight_decay=0.0, betas=(0.5, 0.999)),
+        ),
+    ),
+    "paper": FitDeformationConfig(
+        network=PhysNetConfig(), optimizer=PAPER_OPTIMIZER, alpha=0.85, kl_weight=KL_PER_VOXEL, bodies=8, loads=1,
+        adversary=AdversaryConfig(critic=CriticConfig(condition=REAL)),
+    ),
+    "icgan": FitDeformationConfig(
+        network=PhysNetConfig(variational=False), optimizer=PAPER_OPTIMIZER, alpha=0.85, kl_weight=0.0, bodies=8,
+        loads=1, adversary=AdversaryConfig(critic=CriticConfig(condition=REAL)),
+    ),
+}  # fmt: skip
+
+RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
+    "realtime": FitReconstructionConfig(),
+    "realtime-gan": FitReconstructionConfig(
+        adversary=AdversaryConfig(
+            critic=CriticConfig(given_channels=2, channels=SMALL_CRITIC),
+            optimizer=OptimizerConfig(learning_rate=2e-4, warm_up=0, weight_decay=0.0, betas=(0.5, 0.999)),
+        ),
+    ),
+    "paper": FitReconstructionConfig(
+        network=RecGanConfig(), optimizer=PAPER_OPTIMIZER, alpha=0.85, batch=8,
+        adversary=AdversaryConfig(critic=CriticConfig(given_channels=2)),
+    ),
+}  # fmt: skip
+
+
+class ConfigError(Exception):
+    """There is no such configuration; the message names those that there are."""
+
+
+ConfigT = TypeVar("ConfigT", bound=FitConfig)
+
+
+def chosen(
+    presets: Mapping[str, ConfigT], preset: str, steps: int | None, learning_rate: float | None, seed: int | None
+) -> ConfigT:
+    """A preset with what a command line changes of it; None leaves what it says.
+
+    Raises:
+        ConfigError: There is no preset of that name.
+    """
+    if preset not in presets:
+        raise ConfigError(f"there is no preset {preset}; choose one of {', '.join(presets)}")
+    config = presets[preset]
+    changes: dict[str, Any] = {key: value for key, value in (("steps", steps), ("seed", seed)) if value is not None}
+    if learning_rate is not None:
+        changes["optimizer"] = replace(config.optimizer, learning_rate=learning_rate)
+    return replace(config, **changes)
