@@ -271,4 +271,4 @@ class _Hold:
 
 
 def _cell_index(points: Float64[np.ndarray, "k 3"], n: int) -> Int[np.ndarray, "k 3"]:
-    return np.clip(np.floor(points * n).astype(np.int64), 0, n - 1)
+    return np.asarray(np.clip(np.floor(points * n).astype(np.int64), 0, n - 1))

@@ -144,6 +144,12 @@ class Hexahedron:
         gradient[:, [0, 4, 8]] += 1.0
         return np.asarray(gradient)
 
+    def full_gradient(
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "internal cells"]
+    ) -> Float64[np.ndarray, "8 9 cells"]:
+        """F at the Gauss points, with what the internal parameters add."""
+        return self.deformation_gradient(displacements)
+
     def material_jacobian(self, jacobian: Float64[np.ndarray, "8 cells"]) -> Float64[np.ndarray, "8 cells"]:
         """Determinants where there is material, and 1 where there is none."""
         return np.where(self.weights > 0.0, jacobian, 1.0)

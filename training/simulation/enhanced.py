@@ -115,6 +115,12 @@ class EnhancedHexahedron(Hexahedron):
         stiffness -= (cross.transpose(0, 2, 1) @ recovery)[:, PAIRS_24[0], PAIRS_24[1]].T
         return ElementTangent(stiffness, recovery, compliance), good
 
+    def full_gradient(
+        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
+    ) -> Float64[np.ndarray, "8 9 cells"]:
+        """See `Hexahedron.full_gradient`."""
+        return self._enhanced_gradient(displacements, parameters)
+
     def _enhanced_gradient(
         self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
     ) -> Float64[np.ndarray, "8 9 cells"]:

@@ -93,3 +93,21 @@ def test_leaving_the_cube_is_reported():
     solver = LinearSolver(Body.from_distance(column(1 / 6, 0.9), 12), 0.3)
     load = Load(np.array([0.5, 0.5, 0.9]), np.array([0.0, 0.0, 1.0]), 0.02)
     assert solve_neo_hookean(solver, load, fractions=(1.0,))[-1].reason == "left_cube"
+
+
+def test_a_pinch_is_the_work_of_both_loads(solver):
+    """Two loads act together: equal and opposite ones leave nothing to the clamp, and at small size they add up."""
+    left = Load(np.array([2 / 12, 0.5, 0.45]), np.array([1.0, 0.0, 0.0]), 0.002, 0.12)
+    right = Load(np.array([10 / 12, 0.5, 0.45]), np.array([-1.0, 0.0, 0.0]), 0.002, 0.12)
+    both, one, other = solver.solve([[left, right], left, right])
+    np.testing.assert_allclose(both, one + other, atol=1e-12 * np.abs(one).max())
+    step = solve_neo_hookean(solver, [left, right], (0.5,), tolerance=1e-8)[-1]
+    assert step.converged
+    assert [load.load_number for load in step.loads] == [0.001, 0.001]
+    np.testing.assert_allclose(step.reaction.force, 0.0, atol=1e-9)
+
+
+def test_the_convergence_record_ends_at_the_residual(solver):
+    step = solve_neo_hookean(solver, Load(TOP, np.array([1.0, 0.0, 0.0]), 0.001), (1.0,))[-1]
+    assert len(step.residuals) == step.iterations + 1 > 1
+    assert step.residuals[-1] == step.residual < 1e-4 < step.residuals[0]

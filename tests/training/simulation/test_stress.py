@@ -1,0 +1,62 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.training.simulation.bodies import ELEMENTS, column, whole_cube
+from training.simulation.body import Body
+from training.simulation.clamp import RigidClamp
+from training.simulation.loads import Load
+from training.simulation.material_law import lame
+from training.simulation.newton import follow_forces, solve_neo_hookean
+from training.simulation.solver import LinearSolver
+from training.simulation.stress import linear_von_mises, von_mises
+
+
+@pytest.fixture(scope="module", params=ELEMENTS, ids=lambda element: element.__name__)
+def cube(request):
+    """A solver of a cube of 4³ cells and a solution of it, without load."""
+    solver = LinearSolver(Body.from_distance(whole_cube, 4, RigidClamp()), 0.3, request.param)
+    return solver, follow_forces(solver, np.zeros((solver.body.nodes, 3)), (1.0,))[0]
+
+
+def test_uniaxial_tension_by_hooke(cube):
+    """Under σ_zz alone the von Mises stress is |σ_zz| = E ε_zz."""
+    solver, _ = cube
+    strain = np.diag([-0.3, -0.3, 1.0]) * 0.01
+    found = linear_von_mises(solver, solver.body.node_positions @ strain.T)
+    np.testing.assert_allclose(found, 0.01, rtol=1e-12)
+
+
+def test_simple_shear_of_a_neo_hookean_body(cube):
+    """F = 1 + γ e_x⊗e_z: σ_xx − σ_zz = μ γ², σ_xz = μ γ, von Mises √(μ² γ⁴ + 3 μ² γ²).
+
+    Source: Bonet and Wood (2008), section 6.4.3, example 6.5.
+    """
+    solver, solution = cube
+    shear = 0.4
+    gradient = np.zeros((3, 3))
+    gradient[0, 2] = shear
+    found = von_mises(solver, replace(solution, displacement=solver.body.node_positions @ gradient.T))
+    mu, _ = lame(0.3)
+    np.testing.assert_allclose(found, mu * np.sqrt(shear**4 + 3 * shear**2), rtol=1e-12)
+
+
+def test_a_turned_body_is_free_of_stress_by_the_nonlinear_law_only(cube):
+    solver, solution = cube
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = solver.body.node_positions @ (turn - np.eye(3)).T
+    assert von_mises(solver, replace(solution, displacement=turned)).max() < 1e-14
+    assert linear_von_mises(solver, turned).min() > 0.1
+
+
+def test_a_pushed_column_carries_force_over_area():
+    """Half-way up a column of 4 × 4 cells, under its axial load: σ = F/A, within 3 %."""
+    body = Body.from_distance(column(0.25, 0.75), 16)
+    solver = LinearSolver(body, 0.3)
+    load = Load(np.array([0.5, 0.5, 0.75]), np.array([0.0, 0.0, -1.0]), 1e-4, 0.12)
+    (solution,) = solve_neo_hookean(solver, load, (1.0,))
+    middle = body.active[:, 2] == 5
+    expected = 1e-4 / 0.25**2
+    assert von_mises(solver, solution)[middle].mean() == pytest.approx(expected, rel=0.03)
+    assert linear_von_mises(solver, solution.displacement)[middle].mean() == pytest.approx(expected, rel=0.03)
