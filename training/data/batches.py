@@ -8,13 +8,20 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float16, Float32, Int, UInt8
+from jaxtyping import Float, Float16, Float32, Float64, Int, UInt8
 from torch import Tensor
 
+from training.data.fields import unpack_nodes
 from training.data.store import Store, StoreError
 
 GRID = (64, 64, 64)
 FIELD = (32, 32, 32)
+
+COLUMNS = (
+    "condition", "deformed", "peak", "identity_iou", "strain_energy", "smallest_jacobian", "reaction",
+    "young_modulus_pa", "force_n", "location",
+)  # fmt: skip
+"""Arrays of a group with one row a sample that are read as they are."""
 
 
 def split_of(group: int) -> str:
@@ -34,18 +41,39 @@ def unpack(bits: UInt8[np.ndarray, "n bytes"]) -> Float[Tensor, "n 1 64 64 64"]:
 
 
 @dataclass(frozen=True)
+class Fields:
+    """Displacement fields of the loads on one body, at the nodes near it.
+
+    Attributes:
+        nodes: Flat index of the k nodes.
+        backward: u(y) at nodes of the deformed body and a little beyond.
+        forward: u(x) at nodes of the body at rest and a little beyond.
+    """
+
+    nodes: Int[np.ndarray, " k"]
+    backward: Float16[np.ndarray, "loads 3 k"]
+    forward: Float16[np.ndarray, "loads 3 k"]
+
+
+@dataclass(frozen=True)
 class DeformationSet:
-    """Samples of bodies under loads; `body` maps each sample to its row of `rest`."""
+    """Samples of bodies under loads; `body` maps each to its row of `rest` and `fields`, `step` to its row in these."""
 
     rest: UInt8[np.ndarray, "bodies bytes"]
     family: tuple[str, ...]
+    fields: tuple[Fields, ...]
     body: Int[np.ndarray, " n"]
+    step: Int[np.ndarray, " n"]
     condition: Float32[np.ndarray, "n 9"]
     deformed: UInt8[np.ndarray, "n bytes"]
-    displacement: Float16[np.ndarray, "n 3 32 32 32"]
-    coverage: UInt8[np.ndarray, "n 32 32 32"]
     peak: Float32[np.ndarray, " n"]
     identity_iou: Float32[np.ndarray, " n"]
+    strain_energy: Float32[np.ndarray, " n"]
+    smallest_jacobian: Float32[np.ndarray, " n"]
+    reaction: Float32[np.ndarray, "n 6"]
+    young_modulus_pa: Float64[np.ndarray, " n"]
+    force_n: Float64[np.ndarray, " n"]
+    location: Float32[np.ndarray, "n 2"]
     law: tuple[str, ...]
 
     def __len__(self) -> int:
@@ -53,29 +81,35 @@ class DeformationSet:
 
     @classmethod
     def load(cls, root: Path, split: str) -> DeformationSet:
-        """Read one split of a finished or growing store.
+        """Read one split of a finished or growing store; `all` is every body.
 
         Raises:
-            StoreError: It holds no body of that split.
+            StoreError: It holds no body of that split, or it is of another store version.
         """
         columns: dict[str, list[Any]] = {}
         rest: list[UInt8[np.ndarray, " bytes"]] = []
+        fields: list[Fields] = []
         body: list[Int[np.ndarray, " n"]] = []
+        step: list[Int[np.ndarray, " n"]] = []
         family: list[str] = []
         law: list[str] = []
         for index, group in Store(root).groups():
-            if split_of(index) != split:
+            if split not in ("all", split_of(index)):
                 continue
             body.append(np.full(len(group["sample"]), len(rest)))
+            step.append(np.arange(len(group["sample"])))
             rest.append(group["rest"])
+            nodes = np.flatnonzero(unpack_nodes(group["nodes"]))
+            fields.append(Fields(nodes, group["displacement"], group["forward"]))
             family.append(str(group["family"]))
             law.extend(str(name) for name in group["law"])
-            for key in ("condition", "deformed", "displacement", "coverage", "peak", "identity_iou"):
+            for key in COLUMNS:
                 columns.setdefault(key, []).append(group[key])
         if not rest:
             raise _no_body(root, split)
         return cls(
-            rest=np.stack(rest), family=tuple(family), body=np.concatenate(body), law=tuple(law),
+            rest=np.stack(rest), family=tuple(family), fields=tuple(fields), body=np.concatenate(body),
+            step=np.concatenate(step), law=tuple(law),
             **{key: np.concatenate(parts) for key, parts in columns.items()},
         )  # fmt: skip
 
@@ -93,19 +127,40 @@ class DeformationSet:
         return self._batch(chosen, np.concatenate(rows))
 
     def _batch(self, bodies: Int[np.ndarray, " bodies"], rows: Int[np.ndarray, " b"]) -> DeformationBatch:
+        rest, deformed = unpack(self.rest[bodies]), unpack(self.deformed[rows])
+        shape = (len(rows), 3, FIELD[0] * FIELD[1] * FIELD[2])
+        backward, forward = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        for i, row in enumerate(rows):
+            fields, step = self.fields[self.body[row]], self.step[row]
+            backward[i][:, fields.nodes] = fields.backward[step]
+            forward[i][:, fields.nodes] = fields.forward[step]
         return DeformationBatch(
-            rest=unpack(self.rest[bodies]),
+            rest=rest,
             condition=torch.from_numpy(self.condition[rows]),
-            deformed=unpack(self.deformed[rows])[:, 0],
-            displacement=torch.from_numpy(self.displacement[rows]).float(),
-            coverage=torch.from_numpy(self.coverage[rows]).float()[:, None] / 8.0,
+            deformed=deformed[:, 0],
+            displacement=torch.from_numpy(backward).view(-1, 3, *FIELD),
+            coverage=coverage(deformed),
             peak=torch.from_numpy(self.peak[rows]),
+            forward=torch.from_numpy(forward).view(-1, 3, *FIELD),
+            rest_coverage=coverage(rest),
         )
+
+
+def coverage(occupancy: Float[Tensor, "n 1 64 64 64"]) -> Float[Tensor, "n 1 32 32 32"]:
+    """Part of each node's block of 2³ voxels that lies in the body: where a field is more than carried on."""
+    return torch.nn.functional.avg_pool3d(occupancy, 2)
 
 
 @dataclass(frozen=True)
 class DeformationBatch:
-    """Tensors of one step; the same number of consecutive loads belongs to each body."""
+    """Tensors of one step; the same number of consecutive loads belongs to each body.
+
+    Attributes:
+        displacement: Backward, u(y) on nodes of the deformed body and two beyond, zero elsewhere.
+        coverage: Part of each node's block in the deformed body.
+        forward: u(x) on nodes of the body at rest and two beyond.
+        rest_coverage: Part of each node's block in the body at rest.
+    """
 
     rest: Float[Tensor, "bodies 1 64 64 64"]
     condition: Float[Tensor, "b 9"]
@@ -113,6 +168,8 @@ class DeformationBatch:
     displacement: Float[Tensor, "b 3 32 32 32"]
     coverage: Float[Tensor, "b 1 32 32 32"]
     peak: Float[Tensor, " b"]
+    forward: Float[Tensor, "b 3 32 32 32"]
+    rest_coverage: Float[Tensor, "bodies 1 32 32 32"]
 
     @property
     def rest_of_loads(self) -> Float[Tensor, "b 1 64 64 64"]:
@@ -121,13 +178,15 @@ class DeformationBatch:
 
     def mirrored(self, axis: int) -> DeformationBatch:
         """Mirror image in the plane through the middle of the cube across horizontal axis 0 or 1: still a solution."""
-        condition, displacement = self.condition.clone(), self.displacement.flip(2 + axis)
+        condition = self.condition.clone()
         condition[:, axis] = 1.0 - condition[:, axis]
         condition[:, 3 + axis] *= -1.0
-        displacement[:, axis] *= -1.0
+        displacement, forward = self.displacement.flip(2 + axis), self.forward.flip(2 + axis)
+        for field in (displacement, forward):
+            field[:, axis] *= -1.0
         return DeformationBatch(
             self.rest.flip(2 + axis), condition, self.deformed.flip(1 + axis), displacement,
-            self.coverage.flip(2 + axis), self.peak,
+            self.coverage.flip(2 + axis), self.peak, forward, self.rest_coverage.flip(2 + axis),
         )  # fmt: skip
 
     def transposed(self) -> DeformationBatch:
@@ -137,6 +196,7 @@ class DeformationBatch:
         return DeformationBatch(
             self.rest.transpose(2, 3), condition, self.deformed.transpose(1, 2),
             self.displacement[:, swap].transpose(2, 3), self.coverage.transpose(2, 3), self.peak,
+            self.forward[:, swap].transpose(2, 3), self.rest_coverage.transpose(2, 3),
         )  # fmt: skip
 
 
@@ -154,15 +214,15 @@ class ViewSet:
 
     @classmethod
     def load(cls, root: Path, split: str) -> ViewSet:
-        """Read one split of a finished or growing store.
+        """Read one split of a finished or growing store; `all` is every body.
 
         Raises:
-            StoreError: It holds no body of that split.
+            StoreError: It holds no body of that split, or it is of another store version.
         """
         columns: dict[str, list[Any]] = {"observed": [], "free": [], "truth": []}
         family: list[str] = []
         for index, group in Store(root).groups():
-            if split_of(index) != split:
+            if split not in ("all", split_of(index)):
                 continue
             for key, parts in columns.items():
                 parts.append(group[key])

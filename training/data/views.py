@@ -13,7 +13,7 @@ from service.core.errors import EmptyObject, PhysNetError
 from service.core.grids import Grid, invert_rigid, pack_bits
 from service.core.segmentation import Segment, segment
 from service.core.voxels import VoxelView, voxelize
-from training.data.everyday import occupancy_of
+from training.data.body_cube import occupancy_of
 from training.data.generate import Dropped
 from training.metrics import iou
 from training.simulation.camera import Viewpoint, place_clutter, render, sample_viewpoint

@@ -52,7 +52,16 @@ _SAMPLERS: dict[str, Sampler] = {
     "duck": figures.duck,
 }
 
+_VESSELS: dict[str, Callable[[np.random.Generator, bool, int], Shape]] = {
+    "mug": vessels.mug,
+    "cup": vessels.cup,
+    "bowl": vessels.bowl,
+}
+
 FAMILIES: tuple[str, ...] = tuple(_SAMPLERS)
+
+OPEN_VESSELS: tuple[str, ...] = tuple(_VESSELS)
+"""Families whose walls are as thin as the simulation allows."""
 
 CHECK_RESOLUTION = 40
 SMALLEST_FOOT = 0.02
@@ -60,7 +69,7 @@ SMALLEST_FOOT = 0.02
 MAX_TRIES = 50
 
 
-def sample_shape(family: str, rng: np.random.Generator, thin: bool = False) -> Shape:
+def sample_shape(family: str, rng: np.random.Generator, thin: bool = False, cells: int = 24) -> Shape:
     """Draw a body that stands: in one piece, with a foot on the ground and its centre of mass above it.
 
     Args:
@@ -68,6 +77,7 @@ def sample_shape(family: str, rng: np.random.Generator, thin: bool = False) -> S
         rng: Source of randomness; the same state gives the same body.
         thin: Walls and members as thin as in real objects, for cameras only. Otherwise members are meant to be at
             least three cells of 1/24 of the body grid thick; `min_thickness` tells whether this one is.
+        cells: Cells along the body grid that a solid vessel of `OPEN_VESSELS` is for: its wall is three to four thick.
 
     Returns:
         A body about 1 wide, centred on the z axis, standing on z = 0. Scale and yaw are the caller's.
@@ -79,7 +89,7 @@ def sample_shape(family: str, rng: np.random.Generator, thin: bool = False) -> S
     if family not in _SAMPLERS:
         raise KeyError(f"no family {family!r}; known: {', '.join(FAMILIES)}")
     for _ in range(MAX_TRIES):
-        shape = _SAMPLERS[family](rng, thin)
+        shape = _VESSELS[family](rng, thin, cells) if family in _VESSELS else _SAMPLERS[family](rng, thin)
         if stands(shape):
             return shape
     raise RuntimeError(f"no {family} stood in {MAX_TRIES} tries")

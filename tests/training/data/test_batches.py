@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from service.core.grids import unpack_bits
 from tests.training import tiny
 from training.data.batches import DeformationBatch, DeformationSet, ViewSet, split_of, unpack
+from training.data.fields import unpack_fields, unpack_nodes
 from training.networks.deformation import condition_planes, warp
 
 
@@ -49,8 +51,13 @@ def test_every_sample_is_batched_with_its_own_body(deformations: Path) -> None:
         np.testing.assert_array_equal(batch.rest[i, 0].numpy() > 0.5, tiny.box(group))
     raw = tiny.deformation_group(5)
     np.testing.assert_array_equal(batch.condition[0].numpy(), raw["condition"][1])
-    np.testing.assert_array_equal(batch.displacement[0].numpy(), raw["displacement"][1].astype(np.float32))
-    np.testing.assert_array_equal(batch.coverage[0, 0].numpy() * 8, raw["coverage"][1])
+    nodes = unpack_nodes(raw["nodes"])
+    for name, field in (("displacement", batch.displacement), ("forward", batch.forward)):
+        np.testing.assert_array_equal(field[0].numpy(), unpack_fields(raw[name], nodes)[1].astype(np.float32))
+    for name, covered in (("deformed", batch.coverage), ("rest", batch.rest_coverage)):
+        bits = raw[name][1] if name == "deformed" else raw[name]
+        counted = unpack_bits(bits).reshape(32, 2, 32, 2, 32, 2).mean(axis=(1, 3, 5))
+        np.testing.assert_array_equal(covered[0, 0].numpy(), counted)
     assert float(batch.peak[0]) == pytest.approx(float(raw["peak"][1]))
 
 
@@ -63,6 +70,10 @@ def test_a_batch_by_body_holds_only_loads_of_its_bodies(deformations: Path) -> N
         # Each of these bodies has its own height, and its loads push on the top.
         height = float(batch.rest_of_loads[i, 0].amax(dim=(0, 1)).sum()) / 64
         assert height == pytest.approx(float(batch.condition[i, 2]), abs=1 / 64)
+
+
+def test_all_is_every_body(deformations: Path) -> None:
+    assert len(DeformationSet.load(deformations, "all").rest) == len(tiny.GROUPS)
 
 
 def test_batches_of_one_seed_are_the_same(deformations: Path) -> None:
@@ -84,6 +95,7 @@ def random_batch() -> DeformationBatch:
     return DeformationBatch(
         rest=rest, condition=condition, deformed=warp(rest, displacement), displacement=displacement,
         coverage=torch.rand(2, 1, 32, 32, 32, generator=torch.Generator().manual_seed(0)), peak=torch.ones(2),
+        forward=displacement.flip(4), rest_coverage=torch.rand(1, 1, 32, 32, 32),
     )  # fmt: skip
 
 
@@ -98,7 +110,7 @@ IMAGES = [
 def test_an_image_of_the_image_is_the_original(image) -> None:
     batch = random_batch()
     twice = image(image(batch))
-    for name in ("rest", "condition", "deformed", "displacement", "coverage", "peak"):
+    for name in ("rest", "condition", "deformed", "displacement", "coverage", "peak", "forward", "rest_coverage"):
         torch.testing.assert_close(getattr(twice, name), getattr(batch, name), msg=name)
     assert not torch.equal(image(batch).rest, batch.rest)
 

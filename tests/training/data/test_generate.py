@@ -1,3 +1,4 @@
+import errno
 import os
 import signal
 import subprocess
@@ -9,8 +10,8 @@ import pytest
 
 from tests.conftest import ROOT
 from tests.training.data import draws
-from training.data.generate import THREAD_VARIABLES, fill
-from training.data.store import Store
+from training.data.generate import THREAD_VARIABLES, draw_one, fill, write_one
+from training.data.store import Store, StoreError
 
 GROUPS = range(40)
 
@@ -72,3 +73,27 @@ def test_a_bug_in_a_draw_is_not_a_dropped_sample(tmp_path: Path) -> None:
         fill(Store(tmp_path), draws.broken, range(1), 1, {})
     assert not Store(tmp_path).is_done(0)
     assert not (tmp_path / "manifest.json").exists()
+
+
+def test_a_full_disk_stops_the_generation_at_once_and_it_goes_on_later(
+    tmp_path: Path, digest: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store = Store(tmp_path)
+    for index in range(10):
+        write_one(store, index, draw_one(draws.quick, index))
+    # A folder where no file can be made fails as a full disk does, in every process.
+    with monkeypatch.context() as patch:
+        patch.setattr("training.data.store._FULL", (errno.ENOTDIR, errno.EEXIST))
+        (tmp_path / "groups").rename(tmp_path / "kept")
+        (tmp_path / "groups").touch()
+        with pytest.raises(StoreError, match="no space left"):
+            write_one(store, 10, draw_one(draws.quick, 10))
+    (tmp_path / "groups").unlink()
+    (tmp_path / "kept").rename(tmp_path / "groups")
+    assert fill(store, draws.quick, GROUPS, 1, {})["digest"] == digest
+
+
+def test_another_configuration_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
+    fill(Store(tmp_path), draws.quick, range(1), 1, {"seed": 1})
+    with pytest.raises(StoreError, match="seed differ"):
+        fill(Store(tmp_path), draws.broken, range(2), 1, {"seed": 2})

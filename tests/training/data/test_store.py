@@ -1,4 +1,6 @@
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +68,81 @@ def test_a_set_without_a_manifest_is_unfinished(tmp_path: Path) -> None:
 def test_another_store_version_is_refused(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.write_group(0, GROUP)
-    manifest = store.write_manifest({})
-    (tmp_path / "manifest.json").write_text(json.dumps({**manifest, "store_version": STORE_VERSION + 1}))
-    with pytest.raises(StoreError, match=f"version {STORE_VERSION + 1}, this code reads {STORE_VERSION}"):
-        store.manifest()
+    store.write_manifest({})
+    header = json.loads(store.header_path.read_text())
+    store.header_path.write_text(json.dumps({**header, "store_version": STORE_VERSION + 1}))
+    message = f"version {STORE_VERSION + 1}, this code reads {STORE_VERSION}"
+    for use in (store.manifest, lambda: list(store.groups()), lambda: store.group(0), lambda: store.begin({})):
+        with pytest.raises(StoreError, match=message):
+            use()
+
+
+def test_a_store_of_the_first_version_is_refused(tmp_path: Path) -> None:
+    """It had no header."""
+    store = Store(tmp_path)
+    store.write_group(0, GROUP)
+    store.header_path.unlink()
+    with pytest.raises(StoreError, match="version 1, this code reads 2"):
+        list(store.groups())
+
+
+def test_a_folder_of_another_configuration_is_not_drawn_into(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.begin({"set": "x", "seed": 1, "range": (1, 2), "groups": 5})
+    store.begin({"set": "x", "seed": 1, "range": (1, 2), "groups": 50})  # only more of the same
+    with pytest.raises(StoreError, match=r"drawn otherwise \(seed differ\)"):
+        store.begin({"set": "x", "seed": 2, "range": (1, 2), "groups": 5})
+
+
+def test_one_group_is_read_without_the_others(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.write_group(7, GROUP)
+    store.group_path(6).write_bytes(b"damaged")
+    np.testing.assert_array_equal(store.group(7)["value"], GROUP["value"])
+    with pytest.raises(StoreError, match="no group 5"):
+        store.group(5)
+
+
+@pytest.mark.parametrize("keep", [0, 10, -40], ids=["empty", "head only", "end cut off"])
+def test_a_damaged_group_is_named(tmp_path: Path, keep: int) -> None:
+    store = Store(tmp_path)
+    store.write_group(3, GROUP)
+    path = store.group_path(3)
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(StoreError, match=r"000003\.npz is damaged"):
+        list(store.groups())
+
+
+def test_partial_files_do_not_count(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.write_group(0, GROUP)
+    digest = store.write_manifest({})["digest"]
+    (tmp_path / "groups" / "000001.99.partial").write_bytes(b"half a")
+    assert not store.is_done(1)
+    assert store.write_manifest({})["digest"] == digest
+
+
+@pytest.mark.parametrize("what", ["replace", "write"])
+def test_a_full_disk_is_said_and_costs_nothing_that_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    store = Store(tmp_path)
+    store.write_group(0, GROUP)
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(*((os, "replace") if what == "replace" else (np.lib.format, "write_array")), full)
+        with pytest.raises(StoreError, match="no space left"):
+            store.write_group(1, GROUP)
+    assert not list(tmp_path.rglob("*.partial"))
+    assert [index for index, _ in store.groups()] == [0]
+    store.write_group(1, GROUP)
+    assert [index for index, _ in store.groups()] == [0, 1]
+
+
+def test_the_same_arrays_give_the_same_file(tmp_path: Path) -> None:
+    for index in (0, 1):
+        Store(tmp_path).write_group(index, GROUP)
+    assert Store(tmp_path).group_path(0).read_bytes() == Store(tmp_path).group_path(1).read_bytes()

@@ -15,9 +15,9 @@ PROFILE_POINTS = 9
 """Corners of a curved profile; each costs one edge distance at every point."""
 
 
-def wall(rng: Rng, thin: bool, edge: Number) -> float:
-    """Wall of a hollow vessel: 2 to 4 % of the grid edge, or enough cells to simulate."""
-    return edge * (rng.uniform(0.02, 0.04) if thin else rng.uniform(SIMULABLE, 0.17))
+def wall(rng: Rng, thin: bool, edge: Number, cells: int = 24) -> float:
+    """Wall of a hollow vessel: 2 to 4 % of the grid edge, or three to four cells to simulate, and a little to spare."""
+    return edge * (rng.uniform(0.02, 0.04) if thin else rng.uniform(SIMULABLE, 0.17) * 24 / cells)
 
 
 def _hollow(outer: np.ndarray, thickness: float, floor: float) -> Revolution:
@@ -34,8 +34,8 @@ def _hollow(outer: np.ndarray, thickness: float, floor: float) -> Revolution:
     return Revolution(tuple((float(r), float(z)) for r, z in corners))
 
 
-def _mug_body(rng: Rng, thin: bool, height: float) -> tuple[Revolution, float]:
-    thickness = wall(rng, thin, grid_edge(1.3 if thin else 1.6, 1, height))
+def _mug_body(rng: Rng, thin: bool, height: float, cells: int) -> tuple[Revolution, float]:
+    thickness = wall(rng, thin, grid_edge(1.3 if thin else 1.6, 1, height), cells)
     foot, lip = rng.uniform(0.36, 0.5), 0.5
     bulge = rng.uniform(-0.03, 0.06) if rng.random() < 0.5 else 0.0
     t = np.linspace(0, 1, 5 if bulge else 2)
@@ -43,10 +43,10 @@ def _mug_body(rng: Rng, thin: bool, height: float) -> tuple[Revolution, float]:
     return _hollow(outer, thickness, thickness), thickness
 
 
-def mug(rng: Rng, thin: bool) -> Shape:
+def mug(rng: Rng, thin: bool, cells: int = 24) -> Shape:
     """Hollow, with a handle."""
     height = rng.uniform(0.75 if thin else 1.0, 1.4)
-    body, thickness = _mug_body(rng, thin, height)
+    body, thickness = _mug_body(rng, thin, height, cells)
     grip = rng.uniform(0.05, 0.08) if thin else thickness * rng.uniform(0.5, 0.6)
     rise = min(rng.uniform(0.24, 0.34) * height, 0.4, 0.46 * height - grip)
     reach = rng.uniform(0.5, 0.55)
@@ -56,19 +56,19 @@ def mug(rng: Rng, thin: bool) -> Shape:
     return stand("mug", Union((body, handle)))
 
 
-def cup(rng: Rng, thin: bool) -> Shape:
+def cup(rng: Rng, thin: bool, cells: int = 24) -> Shape:
     """Hollow, no handle: a tumbler, a paper cup, a flower pot."""
     height = rng.uniform(0.6, 1.6)
-    thickness = wall(rng, thin, grid_edge(1, 1, height))
+    thickness = wall(rng, thin, grid_edge(1, 1, height), cells)
     foot = rng.uniform(0.32, 0.5)
     outer = np.array([(foot, 0.0), (0.5, height)])
     return stand("cup", _hollow(outer, thickness, thickness * rng.uniform(1.0, 1.4)))
 
 
-def bowl(rng: Rng, thin: bool) -> Shape:
+def bowl(rng: Rng, thin: bool, cells: int = 24) -> Shape:
     """Hollow, round below."""
     height = rng.uniform(0.3, 0.55)
-    thickness = wall(rng, thin, grid_edge(1, 1, height))
+    thickness = wall(rng, thin, grid_edge(1, 1, height), cells)
     foot = rng.uniform(0.16, 0.26)
     t = np.linspace(0, 1, PROFILE_POINTS)
     # A quarter of a superellipse from the foot to the lip: larger exponents give steeper walls.

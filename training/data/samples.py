@@ -1,0 +1,217 @@
+"""The columns of a group of deformation samples: one body at rest, and what became of it under each load."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float64
+
+from service.core.arrays import Occupancy
+from service.core.condition import Condition
+from service.core.grids import pack_bits
+from training.data.fields import Field, Nodes, coarsen, extend, pack_fields, pack_nodes
+from training.metrics import iou
+from training.simulation.clamp import Reaction
+from training.simulation.loads import Load, nodal_forces
+from training.simulation.rasterise import Rasterised, Rasteriser
+from training.simulation.solution import Solution
+from training.simulation.solver import LinearSolver
+
+LENGTHS_M = (0.05, 0.40)
+"""Edges L of the body grid that bodies without a size of their own are given, drawn log-uniformly: what stands on a
+table. Only E, F and L as numbers depend on it, the deformation does not."""
+
+YOUNG_MAX_PA = 23e9
+"""The paper's upper bound, that of concrete (section 3.5)."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """What makes a load number out of a force: F = Λ E L².
+
+    Attributes:
+        young_modulus_pa: Young's modulus E.
+        poisson_ratio: ν.
+        edge_m: Edge L of the body grid.
+    """
+
+    young_modulus_pa: float
+    poisson_ratio: float
+    edge_m: float
+
+    def force_n(self, load_number: float) -> float:
+        """The force that a load number stands for."""
+        return load_number * self.young_modulus_pa * self.edge_m**2
+
+
+class Outcome(NamedTuple):
+    """What the solver says of a state.
+
+    Attributes:
+        law: `linear` or `neo_hookean`.
+        strain_energy: In units of E L³.
+        smallest_jacobian: Smallest volume ratio in the body; NaN where the law is linear, which knows none.
+        reaction: Of the clamp.
+    """
+
+    law: str
+    strain_energy: float
+    smallest_jacobian: float
+    reaction: Reaction
+
+
+@dataclass(frozen=True)
+class Sample:
+    """One deformed body.
+
+    Attributes:
+        deformed: Its voxels.
+        backward: u(y) on nodes of the deformed body and a little beyond.
+        backward_nodes: Where that is.
+        forward: u(x) on nodes of the body at rest and a little beyond.
+        forward_nodes: Where that is.
+        numbers: Every scalar column by name.
+        law: `linear` or `neo_hookean`.
+    """
+
+    deformed: Occupancy
+    backward: Field
+    backward_nodes: Nodes
+    forward: Field
+    forward_nodes: Nodes
+    numbers: dict[str, np.ndarray]
+    law: str
+
+    @classmethod
+    def of(
+        cls,
+        rest: Occupancy,
+        result: Rasterised,
+        load: Load,
+        material: Material,
+        outcome: Outcome,
+        number: tuple[int, float],
+        location: tuple[int, float] = (-1, np.nan),
+    ) -> Sample:
+        """Gather what is stored of one state.
+
+        Args:
+            rest: The body at rest.
+            result: The state on voxels.
+            load: The load, with the load number of this state.
+            material: Gives the force its newtons.
+            outcome: What the solver says of it.
+            number: Number of the load within the body, and the part of its full force.
+            location: Of the force along the top, as the paper encodes it: which of how many, and from 0 to 1; −1 and
+                NaN where it is anywhere.
+        """
+        backward, covered = coarsen(result.backward)
+        forward, at_rest = coarsen(result.forward)
+        backward, backward_nodes = extend(backward, covered > 0)
+        forward, forward_nodes = extend(forward, at_rest > 0)
+        numbers = {
+            "condition": condition_of(load, material.poisson_ratio),
+            "peak": np.float32(result.peak_displacement),
+            "identity_iou": np.float32(iou(rest, result.deformed)),
+            "strain_energy": np.float32(outcome.strain_energy),
+            "smallest_jacobian": np.float32(outcome.smallest_jacobian),
+            "reaction": np.concatenate([outcome.reaction.force, outcome.reaction.moment]).astype(np.float32),
+            "young_modulus_pa": np.float64(material.young_modulus_pa),
+            "force_n": np.float64(material.force_n(load.load_number)),
+            "location": np.array(location, np.float32),
+            "sample": np.array([number[0], round(number[1], 4)], np.float32),
+        }
+        arrays = {key: np.asarray(value) for key, value in numbers.items()}
+        return cls(result.deformed, backward, backward_nodes, forward, forward_nodes, arrays, outcome.law)
+
+
+@dataclass(frozen=True)
+class State:
+    """Makes samples of one push on one body.
+
+    Attributes:
+        rasteriser: Of the body, at 64³.
+        material: Of the body.
+        number: Of the push within the body.
+        location: Of the push along the top, see `Sample.of`.
+    """
+
+    rasteriser: Rasteriser
+    material: Material
+    number: int
+    location: tuple[int, float] = (-1, np.nan)
+
+    def linear(self, load: Load, unit: Response, fraction: float) -> Sample:
+        """The linear answer to a load, from that to the same load of unit strength."""
+        displacement = load.load_number * unit.displacement
+        # Clapeyron: the work of a load on a linear body is twice the energy it stores.
+        energy = 0.5 * load.load_number * float((unit.forces * displacement).sum())
+        carried = Reaction.of(-load.load_number * unit.forces, self.rasteriser.body.node_positions)
+        outcome = Outcome("linear", energy, np.nan, carried)
+        return self._sample(displacement, load, outcome, fraction)
+
+    def nonlinear(self, solution: Solution) -> Sample:
+        """A converged step under one load."""
+        (load,) = solution.loads
+        outcome = Outcome("neo_hookean", solution.strain_energy, solution.smallest_jacobian, solution.reaction)
+        return self._sample(solution.displacement, load, outcome, solution.fraction)
+
+    def _sample(
+        self, displacement: Float64[np.ndarray, "nodes 3"], load: Load, outcome: Outcome, fraction: float
+    ) -> Sample:
+        result = self.rasteriser(displacement)
+        number = (self.number, fraction)
+        return Sample.of(self.rasteriser.rest, result, load, self.material, outcome, number, self.location)
+
+
+class Response(NamedTuple):
+    """Nodal forces of a load of unit strength, and the linear displacements under them."""
+
+    forces: Float64[np.ndarray, "nodes 3"]
+    displacement: Float64[np.ndarray, "nodes 3"]
+
+
+def respond(solver: LinearSolver, units: Sequence[Load]) -> list[Response]:
+    """Linear responses to loads of unit strength, right-hand sides of one factor.
+
+    Raises:
+        LoadError: A load touches no material.
+    """
+    forces = np.stack([nodal_forces(solver.body, unit) for unit in units])
+    return [Response(*pair) for pair in zip(forces, solver.solve_forces(forces), strict=True)]
+
+
+def scaled(load: Load, factor: float) -> Load:
+    """A load times a number."""
+    return replace(load, load_number=factor * load.load_number)
+
+
+def condition_of(load: Load, poisson_ratio: float) -> Condition:
+    """The condition vector, as the service encodes it, of a load in the body grid."""
+    values = [*load.contact, *load.direction, np.log10(load.load_number), poisson_ratio, load.patch_radius]
+    return np.array(values, np.float32)
+
+
+def group_of(family: str, rest: Occupancy, edge_m: float, samples: Sequence[Sample]) -> dict[str, np.ndarray]:
+    """The arrays of a group.
+
+    Returns:
+        `rest` (32768 bytes of bits), `family`, `edge_m`, `nodes` (4096 bytes of bits over 32³ nodes: the k nodes near
+        any body of the group), and one row a sample of `deformed` bits, `displacement` (backward) and `forward`
+        (float16, 3 × k, edges of the grid), `law` and every scalar column.
+    """
+    nodes = np.logical_or.reduce([s.backward_nodes | s.forward_nodes for s in samples])
+    return {
+        "rest": pack_bits(rest),
+        "family": np.array(family),
+        "edge_m": np.array(edge_m),
+        "nodes": pack_nodes(nodes),
+        "deformed": np.stack([pack_bits(s.deformed) for s in samples]),
+        "displacement": pack_fields([s.backward for s in samples], nodes),
+        "forward": pack_fields([s.forward for s in samples], nodes),
+        "law": np.array([s.law for s in samples]),
+        **{key: np.stack([s.numbers[key] for s in samples]) for key in samples[0].numbers},
+    }
