@@ -16,9 +16,8 @@ from training.simulation.shapes.field import Coordinate, Distance
 
 RESOLUTION = 96
 """Cells along the longest edge of the distance grid."""
-MARGIN_CELLS = 3
 EXACT_CELLS = 2
-"""Nodes this near to the surface get their exact distance; the zero set needs no more."""
+"""Nodes this near to the surface get their exact distance unless more is asked for; the zero set needs no more."""
 HALF_DIAGONAL = math.sqrt(3) / 2
 
 Triangles: TypeAlias = Float64[np.ndarray, "m corner=3 xyz=3"]
@@ -72,21 +71,25 @@ class DistanceGrid(Field):
         return np.array(self.body, np.float64)
 
 
-def distance_grid(triangles: Triangles, resolution: int = RESOLUTION) -> DistanceGrid:
+def distance_grid(
+    triangles: Triangles, resolution: int = RESOLUTION, exact_cells: int = EXACT_CELLS
+) -> DistanceGrid:
     """Signed distances of a closed, outward-facing surface.
 
-    Within two cells of the surface the distance is the exact one to the triangles of the two nearest surface samples;
+    Within a few cells of the surface the distance is the exact one to the triangles of the two nearest surface samples;
     farther away it is a lower bound, short by at most two cells.
 
     Args:
         triangles: Corners of the faces.
         resolution: Cells along the longest edge.
+        exact_cells: How many cells from the surface the distance is exact: two for its place, more for its slope.
     """
+    margin = exact_cells + 1
     corners = triangles.reshape(-1, 3)
     low, high = corners.min(axis=0), corners.max(axis=0)
     pitch = float((high - low).max() / resolution)
-    counts = np.ceil((high - low) / pitch).astype(int) + 1 + 2 * MARGIN_CELLS
-    origin = low - MARGIN_CELLS * pitch
+    counts = np.ceil((high - low) / pitch).astype(int) + 1 + 2 * margin
+    origin = low - margin * pitch
     axes = [origin[axis] + pitch * np.arange(counts[axis]) for axis in range(3)]
     samples, owner = _sample_surface(triangles, 0.4 * pitch)
     # Far away the distance to the nearest node that the surface passes by is enough. The surface lies within half a
@@ -94,7 +97,7 @@ def distance_grid(triangles: Triangles, resolution: int = RESOLUTION) -> Distanc
     passed = np.zeros(counts, bool)
     passed[tuple(np.rint((samples - origin) / pitch).astype(int).T)] = True
     distance = (ndimage.distance_transform_edt(~passed) - HALF_DIAGONAL) * pitch
-    band = np.argwhere(distance < EXACT_CELLS * pitch)
+    band = np.argwhere(distance < exact_cells * pitch)
     nodes = origin + pitch * band
     nearest = np.asarray(cKDTree(samples).query(nodes, k=2)[1], np.int64)
     distance[tuple(band.T)] = np.minimum(

@@ -1,0 +1,1 @@
+"""Commands of `physnet-train`, one a module."""
