@@ -17,6 +17,8 @@ _TOLERANCE = 1e-3
 """Local coordinates are solved to this part of a cell, 1/400 of a voxel at 24³; voxels at a shared face are kept."""
 _OUTSIDE = 0.75
 """Local coordinates, measured from the cell's centre, beyond which a voxel is given up as another cell's."""
+_SMALLEST_SLOPE = 1e-9
+"""Stands for a row of voxels that runs along a face of its cell: inside all the way or outside all the way."""
 _SMALLEST_DETERMINANT = 1e-6
 """Of a cell, in cubic voxels: one turned inside out has no inverse; the solver reports states that hold one."""
 
@@ -55,7 +57,8 @@ def material_points(
     terms = np.empty((8, 3))
     inverse = np.empty((3, 3))
     curved = np.empty((3, 4))
-    reach = np.empty(3)
+    step = np.empty(3)
+    half = np.empty(3)
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
     for cell in range(len(active)):
@@ -63,34 +66,39 @@ def material_points(
             continue
         if not _invert(terms, inverse, curved):
             continue
+        length = float(last[2] - first[2])
         for axis in range(3):
             # the largest shift that the products can make bounds how far outside the affine guess may lie
             bilinear = abs(curved[axis, 0]) + abs(curved[axis, 1]) + abs(curved[axis, 2])
-            reach[axis] = 0.5 + _TOLERANCE + bilinear / 4.0 + abs(curved[axis, 3]) / 8.0
+            reach = 0.5 + _TOLERANCE + bilinear / 4.0 + abs(curved[axis, 3]) / 8.0
+            slope = inverse[axis, 2]
+            if abs(slope) < _SMALLEST_SLOPE:
+                slope = _SMALLEST_SLOPE
+            step[axis] = 1.0 / slope
+            half[axis] = reach * abs(step[axis])
         # numbers in registers, where the compiler would have to read an array again after every write
         xs = (curved[0, 0], curved[0, 1], curved[0, 2], curved[0, 3])
         ys = (curved[1, 0], curved[1, 1], curved[1, 2], curved[1, 3])
         zs = (curved[2, 0], curved[2, 1], curved[2, 2], curved[2, 3])
+        x_step, y_step, z_step = step[0], step[1], step[2]
+        x_half, y_half, z_half = half[0], half[1], half[2]
+        xi, xj, xk = inverse[0, 0], inverse[0, 1], inverse[0, 2]
+        yi, yj, yk = inverse[1, 0], inverse[1, 1], inverse[1, 2]
+        zi, zj, zk = inverse[2, 0], inverse[2, 1], inverse[2, 2]
         for i in range(first[0], last[0] + 1):
+            di = i - terms[0, 0]
             for j in range(first[1], last[1] + 1):
-                di, dj, dk = i - terms[0, 0], j - terms[0, 1], first[2] - terms[0, 2]
-                # where this row of voxels passes through the affine cell, widened by its curvature
-                start, stop = 0.0, float(last[2] - first[2])
-                for axis in range(3):
-                    value = inverse[axis, 0] * di + inverse[axis, 1] * dj + inverse[axis, 2] * dk
-                    slope = inverse[axis, 2]
-                    if abs(slope) > 1e-12:
-                        middle, half = -value / slope, reach[axis] / abs(slope)
-                        start, stop = max(start, middle - half), min(stop, middle + half)
-                    elif abs(value) > reach[axis]:
-                        stop = -1.0
+                dj, dk = j - terms[0, 1], first[2] - terms[0, 2]
+                # affine guess at the row's first voxel, and where the row runs through the widened cell
+                u0, v0, w0 = xi * di + xj * dj + xk * dk, yi * di + yj * dj + yk * dk, zi * di + zj * dj + zk * dk
+                x_middle, y_middle, z_middle = -u0 * x_step, -v0 * y_step, -w0 * z_step
+                start = max(x_middle - x_half, max(y_middle - y_half, max(z_middle - z_half, 0.0)))
+                stop = min(x_middle + x_half, min(y_middle + y_half, min(z_middle + z_half, length)))
                 if stop < start:
                     continue
-                for k in range(first[2] + int(np.ceil(start)), first[2] + int(np.floor(stop)) + 1):
-                    dk = k - terms[0, 2]
-                    u = inverse[0, 0] * di + inverse[0, 1] * dj + inverse[0, 2] * dk
-                    v = inverse[1, 0] * di + inverse[1, 1] * dj + inverse[1, 2] * dk
-                    w = inverse[2, 0] * di + inverse[2, 1] * dj + inverse[2, 2] * dk
+                for offset in range(int(np.ceil(start)), int(np.floor(stop)) + 1):
+                    k = first[2] + offset
+                    u, v, w = u0 + xk * offset, v0 + yk * offset, w0 + zk * offset
                     settled, x, y, z = _fixed_point(u, v, w, xs, ys, zs)
                     if not settled or abs(x) > bound or abs(y) > bound or abs(z) > bound:
                         continue

@@ -11,10 +11,15 @@ from jaxtyping import Float64
 from service.core.arrays import Vector3
 from training.simulation.body import Body
 from training.simulation.elements import GAUSS_POINTS, shape_functions
-from training.simulation.surface import surface_gradient, surface_quadrature
+from training.simulation.patch import surface_patch
+from training.simulation.surface import surface_gradient
 
 PATCH_RADIUS = 0.1
 """Default patch radius in units of L; a point load in three dimensions diverges under refinement."""
+
+FACING = 0.1
+"""Least cosine between the outward normals of a place that carries traction and of the contact: above zero, or rounding
+would decide whether the sides of a box at right angles to the contact's face carry any."""
 
 
 class LoadError(ValueError):
@@ -56,17 +61,14 @@ def _patch_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
 
     The surface integral is taken over points of a fine lattice that lie in a thin shell around the surface, projected
     onto it. Only the side of a thin member that faces the contact carries traction: the outward normal there must have
-    a positive component along the normal at the contact.
+    a component along the normal at the contact.
     """
     spacing = min(0.25 * body.cell_edge, load.patch_radius / 10.0)
-    reach = np.arange(-load.patch_radius, load.patch_radius + spacing, spacing)
-    lattice = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
-    points = load.contact + lattice[(lattice**2).sum(axis=1) < load.patch_radius**2]
-    points, normals, area = surface_quadrature(body.distance, points, spacing)
+    points, normals, area = surface_patch(body.distance, load.contact, load.patch_radius, spacing)
     outward = surface_gradient(body.distance, load.contact[None])[0]
     squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
     weight = np.clip(1.0 - squared, 0.0, None) ** 2 * area
-    weight *= normals @ outward > 0.0
+    weight *= normals @ outward > FACING
     # a hair below the surface, so that a face lying on a cell boundary belongs to the cell with the material
     cell, local = body.locate(points - 1e-4 * body.cell_edge * normals)
     good = (cell >= 0) & (weight > 0.0)

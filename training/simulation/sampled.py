@@ -6,23 +6,22 @@ points near its surface, so the tree is asked once on the nodes of a lattice the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, UInt8
 
 from training.simulation.compiled import compiled
-
-Distance: TypeAlias = Callable[[Float32[np.ndarray, "n 3"]], Float32[np.ndarray, " n"]]
-"""Signed distance to a surface, negative inside, for points in cube coordinates."""
+from training.simulation.surface import Distance
 
 SUBSAMPLES = 4
 """Sample points along each edge of an octant that the surface may cross."""
 OUTSIDE, INSIDE, NEAR = 0, 1, 2
 """States of an octant: wholly on one side, or perhaps crossed by the surface."""
+SAMPLED_SHELL = 0.75
+"""Half thickness, in octants, of the shell around the surface where the lattice has values: what loads integrate over,
+`surface.SHELL` times a quarter of a cell."""
 _REACH = 1.25
 """How many times its half diagonal a cube's centre must lie away from the surface to be settled: a margin for functions
 that are only nearly distances; ellipsoids overstate theirs by up to 17 %."""
@@ -38,8 +37,9 @@ class SampledDistance:
         distance: The function.
         cells: Cells along each edge of the cube.
         state: `OUTSIDE`, `INSIDE` or `NEAR` of each of the (2·cells)³ octants.
-        lattice: Values on the corners of the octants and half-way between, zero where no octant around is near.
-        doubt: How far interpolation in a near octant may be off: the curvature that its own nodes show.
+        lattice: Values on the corners of the octants and half-way between, those within `SAMPLED_SHELL` of the surface;
+            zero elsewhere.
+        doubt: How far interpolation in such an octant may be off: the curvature that its own nodes show; else zero.
     """
 
     distance: Distance
@@ -54,14 +54,14 @@ class SampledDistance:
         n = 2 * cells
         whole = np.argwhere(np.ones((cells,) * 3, bool))
         value = distance(_centres(whole, cells))
-        near = np.abs(value) < _REACH * 0.5 * np.sqrt(3.0) / cells
+        near = np.abs(value) < _REACH * (0.5 * np.sqrt(3.0) + 0.5 * SAMPLED_SHELL) / cells
         state = np.where(value < 0, INSIDE, OUTSIDE).astype(np.uint8).reshape((cells,) * 3)
         state = state.repeat(2, axis=0).repeat(2, axis=1).repeat(2, axis=2)
         octants = (2 * whole[near, None] + _cube(2)).reshape(-1, 3)
         value = distance(_centres(octants, n))
         crossed = np.abs(value) < _REACH * 0.5 * np.sqrt(3.0) / n
         state[tuple(octants.T)] = np.where(crossed, NEAR, np.where(value < 0, INSIDE, OUTSIDE))
-        octants = octants[crossed]
+        octants = octants[np.abs(value) < _REACH * (0.5 * np.sqrt(3.0) + SAMPLED_SHELL) / n]
         lattice = np.zeros((2 * n + 1,) * 3, np.float32)
         nodes = _nodes(octants, n)
         wanted = np.zeros(lattice.size, bool)
