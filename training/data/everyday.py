@@ -16,6 +16,7 @@ from training.data.samples import LENGTHS_M, YOUNG_MAX_PA, Material, Sample, Sta
 from training.simulation.body import Body, BodyError
 from training.simulation.families import FAMILIES, OPEN_VESSELS, sample_shape
 from training.simulation.force_search import force_for_identity_iou
+from training.simulation.gaps import MAX_NARROW_GAPS, narrow_gaps
 from training.simulation.loads import Load, LoadError
 from training.simulation.newton import solve_neo_hookean
 from training.simulation.rasterise import Rasteriser
@@ -97,6 +98,8 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
     )
     try:
         body = Body.from_distance(cube.shape.distance, cells)
+        if narrow_gaps(body) > MAX_NARROW_GAPS:
+            raise Dropped("narrow_gap")
         fine, rough = Rasteriser(body), Rasteriser(body, SEARCH_SIZE)
         pushes = _pushes(config, body, fine.rest, rng)
     except BodyError as error:

@@ -16,13 +16,16 @@ from service.core.voxels import VoxelView, voxelize
 from training.data.body_cube import occupancy_of
 from training.data.generate import Dropped
 from training.metrics import iou
-from training.simulation.camera import Viewpoint, place_clutter, render, sample_viewpoint
+from training.simulation.camera import Rendering, Viewpoint, place_clutter, render, sample_viewpoint
 from training.simulation.families import FAMILIES, sample_shape
 from training.simulation.sensor import apply_sensor
 from training.simulation.shapes import Shape, tight_bounds
 
 HOLLOW = ("mug", "cup", "bowl", "can", "bottle", "vase", "tube", "jug")
 """Families that are drawn twice as often: their insides and walls are what a view tells least about."""
+
+OCCLUDER_TRIES = 8
+"""Places and sizes tried for a body that is to hide a part of the object; failing them all it stands alone."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,10 @@ class ViewsConfig:
         views: Viewpoints on each body.
         thin: Share of bodies with walls as thin as real ones.
         size_m: Range of the longest edge of the body's box, drawn log-uniformly.
-        clutter: Share of views with another body beside the object or before it.
+        clutter: Share of views with another body in them.
+        occluder: Share of those where it stands before the object and hides a part of it; else it is beside or behind.
+        hidden: Range of the part of the object's pixels that an occluder hides.
+        table: Share of views where the support plane ends, as tables do; endless otherwise.
         masked: Share of views where a mask comes with the frame; its edge is off by a pixel or two.
         upright: Share of views where `up` is given, off by up to a degree.
         overlap: Least IoU of the segmented pixels with the true ones: another object teaches nothing.
@@ -45,6 +51,9 @@ class ViewsConfig:
     thin: float = 0.4
     size_m: tuple[float, float] = (0.05, 0.40)
     clutter: float = 0.25
+    occluder: float = 0.5
+    hidden: tuple[float, float] = (0.03, 0.6)
+    table: float = 0.3
     masked: float = 0.5
     upright: float = 0.6
     overlap: float = 0.5
@@ -93,11 +102,7 @@ def _draw_view(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> t
     """What the service would make of one frame, and the truth in the same grid; None where it misses the object."""
     viewpoint = sample_viewpoint(shape.bounds, rng)
     pose = viewpoint.camera_from_world
-    clutter = []
-    if rng.random() < config.clutter:
-        other = _sized(sample_shape(FAMILIES[rng.integers(len(FAMILIES))], rng), config, rng)
-        clutter.append(place_clutter(shape, other, pose, rng, occlude=bool(rng.random() < 0.5)))
-    rendering = render(shape, pose, viewpoint.intrinsics, clutter=clutter)
+    rendering = _scene(shape, viewpoint, config, rng)
     if rendering.mask.sum() < 200:
         return None
     depth_m = apply_sensor(rendering.depth_m, rng, viewpoint.intrinsics.fx, holes_near=rendering.mask)
@@ -111,6 +116,35 @@ def _draw_view(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> t
     view = voxelize(found.points, depth_m, viewpoint.intrinsics, found.support.normal, found.support.offset_m)
     world_from_grid = invert_rigid(pose) @ view.grid.camera_from_grid
     return view, occupancy_of(shape, Grid(view.grid.pitch_m, world_from_grid))
+
+
+def _scene(shape: Shape, viewpoint: Viewpoint, config: ViewsConfig, rng: np.random.Generator) -> Rendering:
+    """The object on its table, alone or with another body."""
+    pose, intrinsics = viewpoint
+    box = shape.bounds
+    table_m = None
+    if rng.random() < config.table:
+        # The edge lies 0.1 to 1.5 lengths of the object beyond it.
+        room = float((box[:, 1] - box[:, 0]).max()) * rng.uniform(0.1, 1.5, (2, 2))
+        table_m = (
+            float(box[0, 0] - room[0, 0]), float(box[0, 1] + room[0, 1]),
+            float(box[1, 0] - room[1, 0]), float(box[1, 1] + room[1, 1]),
+        )  # fmt: skip
+    if rng.random() >= config.clutter:
+        return render(shape, pose, intrinsics, table_m=table_m)
+    other = _sized(sample_shape(FAMILIES[rng.integers(len(FAMILIES))], rng), config, rng)
+    if rng.random() >= config.occluder:
+        return render(shape, pose, intrinsics, clutter=[place_clutter(shape, other, pose, rng, False)], table_m=table_m)
+    alone = render(shape, pose, intrinsics, table_m=table_m)
+    for _ in range(OCCLUDER_TRIES):
+        hiding = place_clutter(shape, other, pose, rng, occlude=True)
+        rendering = render(shape, pose, intrinsics, clutter=[hiding], table_m=table_m)
+        hidden = 1.0 - float(rendering.mask.sum()) / max(int(alone.mask.sum()), 1)
+        if config.hidden[0] <= hidden <= config.hidden[1]:
+            return rendering
+        # A camera that looks down sees over what is small: most bodies drawn at random hide nothing.
+        other = other.moved(scale=1.5 if hidden < config.hidden[0] else 0.8)
+    return alone
 
 
 def _segment(
