@@ -21,6 +21,9 @@ from training.simulation.surface import Distance, project_to_surface
 
 MIN_FILL = 0.01
 """Cells holding less material than this are left out: they add stiffness to nothing that a 64³ grid can show."""
+DEPTHS = (1e-4, 0.02, 0.1, 0.3)
+"""How far below the surface, in cell edges, the cell that carries a surface point is looked for: a hair, so that a face
+on the border of two cells belongs to the one with the material, or deeper where that cell holds too little of it."""
 
 
 class BodyError(ValueError):
@@ -154,11 +157,13 @@ class Body:
 
     def locate(self, points: Float64[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
         """Active cell of each point (−1 where there is none) and its local coordinates in [0, 1]³."""
-        scaled = points * self.cells
-        index = np.clip(np.floor(scaled).astype(np.int64), 0, self.cells - 1)
-        inside = ((scaled >= 0.0) & (scaled <= self.cells)).all(axis=1)
-        cell = np.where(inside, self._cell_of_grid[tuple(index.T)], -1)
-        return cell, scaled - index
+        return _locate(points, self._cell_of_grid)
+
+    def settle(
+        self, points: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
+    ) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
+        """As `locate`, for points on the surface with outward normals, each moved inwards to an active cell."""
+        return _settle(points, normals, self._cell_of_grid)
 
     def gather(self, nodal: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "24 m"]:
         """Nodal vectors in element order, cells last."""
@@ -231,9 +236,11 @@ class _Hold:
         touched = np.zeros((n, n, n), bool)
         if isinstance(clamp, Clamp):
             bed = clamp.bed(distance, n)
-            touched[tuple(_cell_index(bed.points, n).T)] = True
+            for depth in DEPTHS:
+                index = np.floor(bed.points * n - depth * bed.normals).astype(np.int64)
+                touched[tuple(np.clip(index, 0, n - 1).T)] = True
         else:
-            bed = Bed(np.empty((0, 3)), np.empty(0))
+            bed = Bed(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))
             plane = np.stack(np.meshgrid(np.arange(n + 1), np.arange(n + 1), [0], indexing="ij"), axis=-1)
             ground = clamp.nodes(distance, plane.reshape(-1, 3), n).reshape(n + 1, n + 1)
             touched[:, :, 0] = ground[:-1, :-1] | ground[1:, :-1] | ground[:-1, 1:] | ground[1:, 1:]
@@ -250,13 +257,11 @@ class _Hold:
     def foundation(
         self, cell_of_grid: Int[np.ndarray, "n n n"], cell_nodes: Int[np.ndarray, "m 8"], nodes: int
     ) -> sp.csr_array:
-        n = len(cell_of_grid)
-        index = _cell_index(self.bed.points, n)
-        cell = cell_of_grid[tuple(index.T)]
+        cell, local = _settle(self.bed.points, self.bed.normals, cell_of_grid)
         good = cell >= 0
-        if isinstance(self.clamp, Clamp) and not Bed(self.bed.points[good], self.bed.stiffness[good]).holds:
+        if isinstance(self.clamp, Clamp) and not self.bed.only(good).holds:
             raise self.error("too little of the shape does to keep it from turning")
-        shape = shape_functions((self.bed.points * n - index)[good])
+        shape = shape_functions(local[good])
         touched, group = np.unique(cell[good], return_inverse=True)
         blocks = np.zeros((len(touched), 8, 8))
         np.add.at(blocks, group, self.bed.stiffness[good, None, None] * shape[:, :, None] * shape[:, None, :])
@@ -270,5 +275,23 @@ class _Hold:
         return BodyError("not_standing", f"the shape must touch the support plane z = 0: {what}")
 
 
-def _cell_index(points: Float64[np.ndarray, "k 3"], n: int) -> Int[np.ndarray, "k 3"]:
-    return np.asarray(np.clip(np.floor(points * n).astype(np.int64), 0, n - 1))
+def _locate(
+    points: Float64[np.ndarray, "k 3"], cell_of_grid: Int[np.ndarray, "n n n"]
+) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+    n = len(cell_of_grid)
+    scaled = points * n
+    index = np.clip(np.floor(scaled).astype(np.int64), 0, n - 1)
+    inside = ((scaled >= 0.0) & (scaled <= n)).all(axis=1)
+    return np.where(inside, cell_of_grid[tuple(index.T)], -1), scaled - index
+
+
+def _settle(
+    points: Float64[np.ndarray, "k 3"], normals: Float64[np.ndarray, "k 3"], cell_of_grid: Int[np.ndarray, "n n n"]
+) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+    cell, local = np.full(len(points), -1), np.zeros_like(points)
+    for depth in DEPTHS:
+        left = cell < 0
+        if not left.any():
+            break
+        cell[left], local[left] = _locate(points[left] - depth / len(cell_of_grid) * normals[left], cell_of_grid)
+    return cell, local

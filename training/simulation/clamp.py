@@ -31,11 +31,17 @@ class Bed:
 
     Attributes:
         points: In cube coordinates, on the surface.
+        normals: Outward there.
         stiffness: κ times the area of each point, in units of E L.
     """
 
     points: Float64[np.ndarray, "n 3"]
+    normals: Float64[np.ndarray, "n 3"]
     stiffness: Float64[np.ndarray, " n"]
+
+    def only(self, chosen: Bool[np.ndarray, " n"]) -> Bed:
+        """Some of the points."""
+        return Bed(self.points[chosen], self.normals[chosen], self.stiffness[chosen])
 
     @property
     def holds(self) -> bool:
@@ -70,10 +76,9 @@ class Clamp:
 
     def bed(self, distance: Distance, cells: int) -> Bed:
         """Quadrature of the held surface, for a body of cells³ cells."""
-        points, area = self._foot(distance) if self.region is None else self._surface(distance, cells)
-        return Bed(points, self.stiffness * area)
+        return self._foot(distance) if self.region is None else self._surface(distance, cells)
 
-    def _foot(self, distance: Distance) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    def _foot(self, distance: Distance) -> Bed:
         # The foot is the section of the body at `reach`, seen from below; a point is held where the surface is.
         # The area of the rim is the share of a square inside, by distance; where the bottom is nearly level this lets
         # the hold fade within half a spacing of height.
@@ -84,9 +89,10 @@ class Clamp:
         points, share = points[share > 0.0], share[share > 0.0]
         points[:, 2] = 0.0
         points[:, 2] = np.clip(distance(points.astype(np.float32)), 0.0, self.reach + 0.5 * FOOT_SPACING)
-        return points, share * FOOT_SPACING**2
+        down = np.tile([0.0, 0.0, -1.0], (len(points), 1))
+        return Bed(points, down, self.stiffness * FOOT_SPACING**2 * share)
 
-    def _surface(self, distance: Distance, cells: int) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
+    def _surface(self, distance: Distance, cells: int) -> Bed:
         assert self.region is not None
         index = np.stack(np.meshgrid(*[np.arange(-1, cells + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
         near = np.abs(distance(((index + 0.5) / cells).astype(np.float32))) < 1.5 / cells
@@ -95,8 +101,7 @@ class Clamp:
         lattice = ((index[near, None] + inner) / cells).reshape(-1, 3)
         points, normals, area = surface_quadrature(distance, lattice, 0.25 / cells)
         held = self.region(points)
-        # a hair below the surface, so that a face on the border of two cells belongs to the one with the material
-        return points[held] - (1e-4 / cells) * normals[held], area[held]
+        return Bed(points, normals, self.stiffness * area).only(held)
 
 
 @dataclass(frozen=True)

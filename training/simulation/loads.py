@@ -69,8 +69,7 @@ def _patch_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
     squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
     weight = np.clip(1.0 - squared, 0.0, None) ** 2 * area
     weight *= normals @ outward > FACING
-    # a hair below the surface, so that a face lying on a cell boundary belongs to the cell with the material
-    cell, local = body.locate(points - 1e-4 * body.cell_edge * normals)
+    cell, local = body.settle(points, normals)
     good = (cell >= 0) & (weight > 0.0)
     if not good.any():
         raise LoadError("no material lies under the load's patch: move the contact onto the surface")

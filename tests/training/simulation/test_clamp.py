@@ -3,7 +3,7 @@ import pytest
 
 from tests.training.simulation.bodies import box, column, sphere, union
 from training.simulation.body import Body, BodyError
-from training.simulation.clamp import Bed, Clamp, RigidClamp, half_space
+from training.simulation.clamp import STIFFNESS, Bed, Clamp, RigidClamp, half_space
 from training.simulation.clamp import box as box_region
 from training.simulation.elements import shape_functions
 from training.simulation.enhanced import EnhancedHexahedron
@@ -108,6 +108,23 @@ def test_what_holds_nothing_is_refused(shape, clamp, reason):
 
 def test_a_row_of_points_lets_a_body_turn():
     line = np.stack([np.linspace(0.3, 0.7, 20), np.full(20, 0.5), np.zeros(20)], axis=1)
-    assert not Bed(line, np.ones(20)).holds
-    assert not Bed(np.empty((0, 3)), np.empty(0)).holds
-    assert Bed(np.concatenate([line, line + np.array([0.0, 0.02, 0.0])]), np.ones(40)).holds
+    down = np.tile([0.0, 0.0, -1.0], (40, 1))
+    assert not Bed(line, down[:20], np.ones(20)).holds
+    assert not Bed(line[:0], down[:0], np.empty(0)).holds
+    assert Bed(np.concatenate([line, line + np.array([0.0, 0.02, 0.0])]), down, np.ones(40)).holds
+
+
+@pytest.mark.parametrize("end", [0.25, 0.2495, 0.24])
+def test_an_end_a_hair_beyond_a_cell_is_held_and_loaded_all_the_same(end):
+    """The sliver in the next cell holds too little to count; its surface belongs to the cell behind it."""
+    beam = box([0.5, 0.5, 0.5], [0.5 - end, 0.1, 0.1])
+    clamp = Clamp(half_space(np.array([end + 0.005, 0.0, 0.0]), np.array([1.0, 0.0, 0.0])))
+    body = Body.from_distance(beam, 16, clamp)
+    assert body.foundation.sum() > 0.95 * STIFFNESS * 0.04
+    load = Load(np.array([1.0 - end, 0.5, 0.5]), np.array([1.0, 0.0, 0.0]), 1.0)
+    solver = LinearSolver(body, 0.0, EnhancedHexahedron)
+    (displacement,) = solver.solve([load])
+    # a bar under F, E A = 0.04: F x / (E A) in the middle of its length, and of its section
+    cell, local = body.locate(np.array([[0.5, 0.5, 0.5]]))
+    moved = (shape_functions(local) @ displacement[body.cell_nodes[cell[0]]])[0, 0]
+    assert moved == pytest.approx((0.5 - end) / 0.04, rel=0.05)
