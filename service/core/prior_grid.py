@@ -1,0 +1,182 @@
+"""The few hexahedral cells that the coarse elastic solve knows a body by, and how much material each holds.
+
+The cells fill the body's bounding box rather than the cube, so that all of them are spent on the body; they are about
+as wide as high. Everything is in edges of the body grid, z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from jaxtyping import Bool, Float32, Float64, Int
+
+from service.core.arrays import GRID_SIZE, Occupancy
+
+CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
+"""Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
+
+GAUSS_3: Float64[np.ndarray, "3"] = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+"""Abscissae in [0, 1] of the Gauss rule of three points."""
+
+POINTS_27: Float64[np.ndarray, "27 3"] = np.stack(np.meshgrid(GAUSS_3, GAUSS_3, GAUSS_3, indexing="ij"), -1).reshape(
+    -1, 3
+)
+"""Local coordinates of the 3×3×3 Gauss points of a cell."""
+
+MIN_FILL = 0.01
+"""Cells holding less material than this are left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class CellGrid:
+    """Cells with material that stand on the floor of the body, and their nodes.
+
+    Attributes:
+        low: Lowest corner of the box.
+        edges: Edges of a cell along x, y, z.
+        shape: Cells along x, y, z.
+        cells: Index of every kept cell in the box.
+        weights: Quadrature weight of each of the 27 Gauss points, in volumes of a cell. They integrate polynomials up
+            to the second degree in each coordinate over the material of the cell exactly; some may be negative.
+        fill: Part of each cell that holds material.
+        nodes: Index of every node in the box, from 0 to `shape`.
+        cell_nodes: Node number of each corner of each cell, corner 4·dx + 2·dy + dz.
+        floor_cells: Which cells stand on the floor.
+        floor_weights: As `weights`, of the 3×3 Gauss points of their lower faces, over the sole of the body.
+    """
+
+    low: Float64[np.ndarray, "3"]
+    edges: Float64[np.ndarray, "3"]
+    shape: tuple[int, int, int]
+    cells: Int[np.ndarray, "m 3"]
+    weights: Float64[np.ndarray, "27 m"]
+    fill: Float64[np.ndarray, " m"]
+    nodes: Int[np.ndarray, "n 3"]
+    cell_nodes: Int[np.ndarray, "m 8"]
+    floor_cells: Int[np.ndarray, " b"]
+    floor_weights: Float64[np.ndarray, "9 b"]
+    _cell_of_box: Int[np.ndarray, "x y z"]
+
+    @classmethod
+    def fit(cls, occupancy: Occupancy, cells: int) -> CellGrid:
+        """Lay about `cells` cells over the bounding box of a body.
+
+        Raises:
+            ValueError: The body is empty.
+        """
+        low_index, high_index = _bounds(occupancy)
+        low, high = low_index / GRID_SIZE, high_index / GRID_SIZE
+        extent = high - low
+        width = (extent.prod() / cells) ** (1.0 / 3.0)
+        shape = np.maximum(np.round(extent / width), 1).astype(int)
+        box = occupancy[tuple(slice(a, b) for a, b in zip(low_index, high_index, strict=True))].astype(np.float32)
+        x, y, z = (_moments(int(n), int(v)) for n, v in zip(shape, box.shape, strict=True))
+        nx, ny, nz = (int(n) for n in shape)
+        # box[x, y, z] times one table an axis, the longest sums first
+        along_z = box.reshape(-1, box.shape[2]) @ z.T
+        along_x = x @ along_z.reshape(box.shape[0], -1)
+        moments = np.matmul(y, along_x.reshape(3 * nx, box.shape[1], 3 * nz))
+        weights = moments.reshape(nx, 3, ny, 3, nz, 3).transpose(1, 3, 5, 0, 2, 4).reshape(27, nx, ny, nz)
+        floor = (x @ box[:, :, 0] @ y.T).reshape(nx, 3, ny, 3).transpose(1, 3, 0, 2).reshape(9, nx, ny)
+        solid = weights.sum(axis=0) >= MIN_FILL
+        solid[:, :, 0] |= floor.sum(axis=0) >= MIN_FILL
+        kept = _standing(solid)
+        active = np.argwhere(kept)
+        floor_cells = np.flatnonzero(active[:, 2] == 0)
+        used = np.zeros((nx + 1, ny + 1, nz + 1), bool)
+        for dx, dy, dz in CORNERS:
+            used[dx : nx + dx, dy : ny + dy, dz : nz + dz] |= kept
+        node_of_box = np.full(used.shape, -1)
+        nodes = np.argwhere(used)
+        node_of_box[used] = np.arange(len(nodes))
+        corners = active[:, None, :] + CORNERS
+        cell_of_box = np.full(kept.shape, -1)
+        cell_of_box[kept] = np.arange(len(active))
+        chosen = weights[:, kept].astype(np.float64)
+        return cls(
+            low=low, edges=extent / shape, shape=(nx, ny, nz), cells=active, weights=chosen, fill=chosen.sum(axis=0),
+            nodes=nodes, cell_nodes=node_of_box[corners[..., 0], corners[..., 1], corners[..., 2]],
+            floor_cells=floor_cells,
+            floor_weights=floor[:, active[floor_cells, 0], active[floor_cells, 1]].astype(np.float64),
+            _cell_of_box=cell_of_box,
+        )  # fmt: skip
+
+    @property
+    def node_positions(self) -> Float64[np.ndarray, "n 3"]:
+        """Rest position of every node."""
+        return np.asarray(self.low + self.nodes * self.edges)
+
+    def locate(self, points: Float64[np.ndarray, "k 3"]) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+        """Cell of each point, −1 where none is kept, and its local coordinates in [0, 1]³ inside the box."""
+        scaled = (points - self.low) / self.edges
+        index = np.clip(np.floor(scaled).astype(np.int64), 0, np.array(self.shape) - 1)
+        return self._cell_of_box[index[:, 0], index[:, 1], index[:, 2]], scaled - index
+
+    def interpolation(
+        self, points: Float64[np.ndarray, "k 3"]
+    ) -> tuple[Int[np.ndarray, "k 8"], Float64[np.ndarray, "k 8"]]:
+        """Nodes and weights that give a nodal field at points of the kept cells, or of the nearest kept cell."""
+        cell, local = self.locate(points)
+        for stray in np.flatnonzero(cell < 0):
+            place = (points[stray] - self.low) / self.edges
+            cell[stray] = np.argmin(((self.cells + 0.5 - place) ** 2).sum(axis=1))
+            local[stray] = place - self.cells[cell[stray]]
+        return self.cell_nodes[cell], shape_functions(np.clip(local, 0.0, 1.0))
+
+
+def shape_functions(local: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 8"]:
+    """Trilinear shape functions at local coordinates in [0, 1]³.
+
+    Source: Hughes, The Finite Element Method (2000), eq. 3.5.2.
+    """
+    both = np.stack([1.0 - local, local], axis=1)
+    product = both[:, :, None, None, 0] * both[:, None, :, None, 1] * both[:, None, None, :, 2]
+    return np.asarray(product.reshape(len(local), 8))
+
+
+def _bounds(occupancy: Occupancy) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+    """First voxel of the bounding box and one past its last, along each axis."""
+    above = np.asarray(occupancy.any(axis=0))
+    filled = [np.flatnonzero(occupancy.any(axis=(1, 2))), np.flatnonzero(above.any(axis=1))]
+    filled.append(np.flatnonzero(above.any(axis=0)))
+    if len(filled[0]) == 0:
+        raise ValueError("an empty body has no elastic solution: the occupancy holds no voxel")
+    return np.array([index[0] for index in filled]), np.array([index[-1] + 1 for index in filled])
+
+
+@lru_cache(maxsize=512)
+def _moments(cells: int, voxels: int) -> Float32[np.ndarray, "points voxels"]:
+    """Integrals of the Lagrange polynomials of the Gauss points over the part of each voxel in each cell.
+
+    Row 3·cell + point; `cells` cells over `voxels` voxels. Applied along each axis they fit quadrature weights to the
+    moments of the material (moment fitting: Müller, Kummer and Oberlack, IJNME 96 (2013)).
+    """
+    face = np.arange(voxels + 1) * (cells / voxels)
+    low = np.clip(face[:-1] - np.arange(cells)[:, None], 0.0, 1.0)
+    high = np.clip(face[1:] - np.arange(cells)[:, None], 0.0, 1.0)
+    table = np.empty((cells, 3, voxels))
+    for point in range(3):
+        others = np.delete(GAUSS_3, point)
+        polynomial = np.poly1d(others, r=True) / np.prod(GAUSS_3[point] - others)
+        integral = polynomial.integ()
+        table[:, point] = integral(high) - integral(low)
+    return table.reshape(3 * cells, voxels).astype(np.float32)
+
+
+def _standing(solid: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Cells connected to the lowest layer across faces: nothing holds the others."""
+    reached = np.zeros_like(solid)
+    reached[:, :, 0] = solid[:, :, 0]
+    count = 0
+    while count != (count := int(reached.sum())):
+        grown = reached.copy()
+        grown[1:] |= reached[:-1]
+        grown[:-1] |= reached[1:]
+        grown[:, 1:] |= reached[:, :-1]
+        grown[:, :-1] |= reached[:, 1:]
+        grown[:, :, 1:] |= reached[:, :, :-1]
+        grown[:, :, :-1] |= reached[:, :, 1:]
+        reached = grown & solid
+    return reached

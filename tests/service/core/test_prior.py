@@ -1,0 +1,154 @@
+import time
+
+import numpy as np
+import pytest
+
+from service.core.lookup import warp
+from service.core.prior import CELLS, ElasticPrior
+from service.core.prior_grid import CellGrid
+
+
+def column(width: int = 16, height: int = 48) -> np.ndarray:
+    """A square column in the middle of the cube."""
+    rest = np.zeros((64, 64, 64), bool)
+    side = slice(32 - width // 2, 32 + width // 2)
+    rest[side, side, :height] = True
+    return rest
+
+
+def push(contact: tuple[float, float, float], direction: tuple[float, float, float], load: float) -> np.ndarray:
+    return np.array([*contact, *direction, np.log10(load), 0.3, 0.2], np.float32)
+
+
+def test_a_column_is_compressed_by_f_l_over_e_a() -> None:
+    """δ = F h/(E A) (Hooke), plus what the bed under the sole gives way: F/(κ A) with κ = 200 E/L."""
+    prior = ElasticPrior(column(), 0.0)
+    load = 1e-4
+    force = np.zeros((3, 1, len(prior.grid.nodes)), np.float32)
+    top = prior.grid.nodes[:, 2] == prior.grid.shape[2]
+    # the top face's bilinear nodes share a uniform traction by their area
+    share = np.prod([np.where((prior.grid.nodes[:, a] % prior.grid.shape[a]) == 0, 1, 2) for a in (0, 1)], axis=0)
+    force[2, 0, top] = -load * (share[top] / share[top].sum())
+    u = prior.solver.solve(force, 0)
+    expected = load * 0.75 / 0.0625 + load / (200.0 * 0.0625)
+    # float32 pivots
+    np.testing.assert_allclose(u[2, 0, top], -expected, rtol=1e-3)
+
+
+def test_a_slender_column_bends_by_the_formula_of_timoshenko() -> None:
+    """δ = F h³/(3 E I) + F h/(κ G A) at the tip, with the contact patch's middle as the tip; the sole's bed adds
+    F h²/(κ_bed I)."""
+    width, height, load = 8 / 64, 60 / 64, 1e-6
+    prior = ElasticPrior(column(8, 60), 0.3, cells=64)
+    solution = prior.displacements([push((0.5 - width / 2, 0.5, height - 0.1), (1.0, 0.0, 0.0), load)], steps=0)
+    lever = height - 0.1
+    inertia, shear = width**4 / 12, 0.5 / 1.3
+    bent = load * lever**3 / (3 * inertia) + load * lever / (5 / 6 * shear * width**2)
+    expected = bent + load * lever**2 / (200.0 * inertia)
+    at = int(lever * 32)
+    field = solution.backward[0]
+    assert field[0, 15:17, 15:17, at - 1 : at + 1].mean() == pytest.approx(expected, rel=0.1)
+
+
+def test_mirrored_loads_have_mirrored_solutions() -> None:
+    prior = ElasticPrior(column(), 0.45)
+    left = push((0.375, 0.5, 0.6), (1.0, 0.0, 0.0), 5e-4)
+    right = push((0.625, 0.5, 0.6), (-1.0, 0.0, 0.0), 5e-4)
+    one, other = prior.displacements([left, right]).nodal
+    index = prior.grid.nodes * [-1, 1, 1] + [prior.grid.shape[0], 0, 0]
+    mirror = [int(np.flatnonzero((prior.grid.nodes == node).all(axis=1))[0]) for node in index]
+    expected = other[:, mirror] * np.array([[-1.0], [1.0], [1.0]])
+    assert np.abs(one).max() > 0.1
+    # float32 pivots
+    np.testing.assert_allclose(one, expected, atol=2e-3 * np.abs(one).max())
+
+
+def test_no_load_to_speak_of_moves_nothing_and_the_answer_is_linear_there() -> None:
+    prior = ElasticPrior(column(), 0.3)
+    small, twice = (push((0.375, 0.5, 0.6), (1.0, 0.0, 0.0), load) for load in (1e-7, 2e-7))
+    fields = prior.displacements([small, twice]).nodal
+    np.testing.assert_allclose(fields[1], 2.0 * fields[0], atol=2e-3 * np.abs(fields[1]).max())
+    assert np.abs(fields).max() < 1e-4
+
+
+def test_loads_solved_together_are_those_solved_alone() -> None:
+    prior = ElasticPrior(column(), 0.3)
+    loads = [push((0.375, 0.5, z), (0.8, 0.6, 0.0), 2e-3) for z in (0.3, 0.5, 0.7)]
+    together = prior.displacements(loads)
+    for i, load in enumerate(loads):
+        alone = prior.displacements([load])
+        np.testing.assert_allclose(together.backward[i], alone.backward[0], atol=5e-3)  # float32, in two ways
+
+
+def test_corrections_bring_the_forces_into_balance_where_the_column_bends_far() -> None:
+    """A thin column bent until its tip has gone sideways by more than a third of its height."""
+    prior = ElasticPrior(column(8, 56), 0.3)
+    force = prior.forces([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), 5e-5)])
+    left = {}
+    for steps in (0, 8):
+        u = prior.solver.solve(force, steps)
+        left[steps] = float(np.abs(prior.solver.correction(u, force)).max())
+    assert np.abs(u[0]).max() > 0.3
+    assert left[8] < 0.04 * np.abs(u).max()
+    assert left[8] < 0.04 * left[0]
+
+
+def test_a_column_that_bends_far_keeps_its_volume() -> None:
+    """A linear solution swells it; rotations do not."""
+    rest = column(8, 56)
+    prior = ElasticPrior(rest, 0.3)
+    field = prior.displacements([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), 5e-5)], steps=6).backward[0]
+    fine = field.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3)
+    assert (warp(rest, fine) > 0.5).sum() == pytest.approx(rest.sum(), rel=0.06)
+
+
+def test_an_absurd_load_has_a_finite_answer_of_bounded_size() -> None:
+    prior = ElasticPrior(column(8, 56), 0.49)
+    solution = prior.displacements([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), load) for load in (1e-2, 1e2)])
+    assert np.isfinite(solution.backward).all()
+    assert np.abs(solution.nodal).max() < 3.0
+
+
+def test_a_body_above_the_floor_stands_on_its_lowest_voxels() -> None:
+    low, high = column(), np.roll(column(), 8, axis=2)
+    u = ElasticPrior(low, 0.3).displacements([push((0.375, 0.5, 0.6), (1.0, 0.0, 0.0), 1e-3)]).nodal
+    v = ElasticPrior(high, 0.3).displacements([push((0.375, 0.5, 0.725), (1.0, 0.0, 0.0), 1e-3)]).nodal
+    np.testing.assert_allclose(u, v, atol=1e-4 * np.abs(u).max())
+
+
+def test_islands_are_left_out_and_a_load_on_one_pushes_the_body() -> None:
+    rest = column(16, 20)
+    rest[30:34, 30:34, 50:60] = True
+    solution = ElasticPrior(rest, 0.3).displacements([push((0.5, 0.5, 0.93), (0.0, 0.0, -1.0), 1e-4)])
+    assert np.isfinite(solution.backward).all()
+    assert np.abs(solution.nodal).max() < 0.05
+
+
+def test_a_single_voxel_has_an_answer() -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[10, 10, 0] = True
+    solution = ElasticPrior(rest, 0.49).displacements([push((0.16, 0.16, 0.01), (0.0, 0.0, -1.0), 1e-6)])
+    assert np.isfinite(solution.backward).all()
+
+
+def test_an_empty_body_is_refused() -> None:
+    with pytest.raises(ValueError, match="no voxel"):
+        ElasticPrior(np.zeros((64, 64, 64), bool), 0.3)
+
+
+def test_quadrature_weights_hold_the_volume_of_the_body() -> None:
+    rest = np.random.default_rng(0).random((64, 64, 64)) < 0.3
+    grid = CellGrid.fit(rest, CELLS)
+    assert grid.fill.sum() * grid.edges.prod() == pytest.approx(rest.sum() / 64**3, rel=1e-4)
+
+
+def test_it_is_fast_enough_to_serve() -> None:
+    """Measured 5 to 9 ms for set-up and first load on a busy core; the bound is for the worst test machine."""
+    rest, load = column(24), push((0.3125, 0.5, 0.6), (1.0, 0.0, 0.0), 1e-3)
+
+    def once() -> float:
+        start = time.process_time()
+        ElasticPrior(rest, 0.3).displacements([load])
+        return time.process_time() - start
+
+    assert min(once() for _ in range(5)) < 0.08
