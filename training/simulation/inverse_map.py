@@ -80,6 +80,7 @@ def material_points(
         xs = (curved[0, 0], curved[0, 1], curved[0, 2], curved[0, 3])
         ys = (curved[1, 0], curved[1, 1], curved[1, 2], curved[1, 3])
         zs = (curved[2, 0], curved[2, 1], curved[2, 2], curved[2, 3])
+        ai, aj, ak = active[cell, 0], active[cell, 1], active[cell, 2]
         x_step, y_step, z_step = step[0], step[1], step[2]
         x_half, y_half, z_half = half[0], half[1], half[2]
         xi, xj, xk = inverse[0, 0], inverse[0, 1], inverse[0, 2]
@@ -102,15 +103,15 @@ def material_points(
                     settled, x, y, z = _fixed_point(u, v, w, xs, ys, zs)
                     if not settled or abs(x) > bound or abs(y) > bound or abs(z) > bound:
                         continue
-                    side = _side(active[cell], x, y, z, state, lattice, doubt, wanted)
+                    side = _side(ai, aj, ak, x, y, z, state, lattice, doubt, wanted)
                     # of two cells that meet in a voxel one that is sure of its material decides
                     if side == OUTSIDE or (side == NEAR and deformed[i, j, k] == INSIDE):
                         continue
                     deformed[i, j, k] = side
                     if wanted:
-                        backward[0, i, j, k] = (i + 0.5) / size - (active[cell, 0] + 0.5 + x) * edge
-                        backward[1, i, j, k] = (j + 0.5) / size - (active[cell, 1] + 0.5 + y) * edge
-                        backward[2, i, j, k] = (k + 0.5) / size - (active[cell, 2] + 0.5 + z) * edge
+                        backward[0, i, j, k] = (i + 0.5) / size - (ai + 0.5 + x) * edge
+                        backward[1, i, j, k] = (j + 0.5) / size - (aj + 0.5 + y) * edge
+                        backward[2, i, j, k] = (k + 0.5) / size - (ak + 0.5 + z) * edge
 
 
 @compiled
@@ -195,7 +196,9 @@ def _fixed_point(u: float, v: float, w: float, xs: Row, ys: Row, zs: Row) -> tup
 
 @compiled
 def _side(
-    cell: Int[np.ndarray, " 3"],
+    ai: int,
+    aj: int,
+    ak: int,
     x: float,
     y: float,
     z: float,
@@ -204,9 +207,9 @@ def _side(
     doubt: Float32[np.ndarray, "n2 n2 n2"],
     cautious: bool,
 ) -> int:
-    """Side of the surface on which the point of a cell at local coordinates in [−½, ½]³ lies; `NEAR` where doubtful."""
+    """Side of the surface of the point of cell (ai, aj, ak) at local coordinates in [−½, ½]³; `NEAR` where doubtful."""
     a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
-    i, j, k = 2 * cell[0] + a, 2 * cell[1] + b, 2 * cell[2] + c
+    i, j, k = 2 * ai + a, 2 * aj + b, 2 * ak + c
     side = state[i, j, k]
     if side != NEAR:
         return int(side)

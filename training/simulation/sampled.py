@@ -93,7 +93,10 @@ class SampledDistance:
         row, sample = np.nonzero(np.abs(value) <= self.doubt[tuple(octants.T)][:, None])
         place = (octants[row] + (_cube(SUBSAMPLES)[sample] + 0.5) / SUBSAMPLES) / (2 * self.cells)
         value[row, sample] = self.distance(place.astype(np.float32))
-        fill[tuple(octants.T)] = (value < 0).mean(axis=1)
+        # a sample's share by its distance, not its side: counting is off by up to half a sample, which changes a member
+        # four cells thick by 3 % and its bending stiffness by 12 %
+        share = np.clip(0.5 - value * (2 * self.cells * SUBSAMPLES), 0.0, 1.0)
+        fill[tuple(octants.T)] = share.mean(axis=1)
         return np.asarray(fill)
 
 
@@ -110,20 +113,16 @@ def interpolated(
 
     Source: Hughes, The Finite Element Method (2000), section 3.6, Lagrange elements.
     """
-    p0, p1, p2 = 0.5 * x * (x - 1.0), 1.0 - x * x, 0.5 * x * (x + 1.0)
-    q0, q1, q2 = 0.5 * y * (y - 1.0), 1.0 - y * y, 0.5 * y * (y + 1.0)
-    r0, r1, r2 = 0.5 * z * (z - 1.0), 1.0 - z * z, 0.5 * z * (z + 1.0)
+    p = (0.5 * x * (x - 1.0), 1.0 - x * x, 0.5 * x * (x + 1.0))
+    q = (0.5 * y * (y - 1.0), 1.0 - y * y, 0.5 * y * (y + 1.0))
+    r = (0.5 * z * (z - 1.0), 1.0 - z * z, 0.5 * z * (z + 1.0))
+    i, j, k = 2 * i, 2 * j, 2 * k
     value = 0.0
     for a in range(3):
-        plane = lattice[2 * i + a]
-        p = p0 if a == 0 else (p1 if a == 1 else p2)
         for b in range(3):
-            q = q0 if b == 0 else (q1 if b == 1 else q2)
-            value += (
-                p
-                * q
-                * (r0 * plane[2 * j + b, 2 * k] + r1 * plane[2 * j + b, 2 * k + 1] + r2 * plane[2 * j + b, 2 * k + 2])
-            )
+            # whole indices, no views: a view would count its references, which takes longer than the sum
+            line = r[0] * lattice[i + a, j + b, k] + r[1] * lattice[i + a, j + b, k + 1]
+            value += p[a] * q[b] * (line + r[2] * lattice[i + a, j + b, k + 2])
     return value
 
 
