@@ -1,14 +1,19 @@
-"""The command line of everything that makes models: `physnet-train simulate | fit | evaluate | export`."""
+"""The command line of everything that makes models.
+
+`physnet-train simulate | dataset | solve | fit | evaluate | export`.
+"""
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
-import functools
 import json
 import os
 import sys
 from pathlib import Path
+
+from training.commands.dataset import add_dataset
+from training.commands.simulate import add_simulate
+from training.commands.solve import add_solve
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -16,18 +21,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="physnet-train", description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
 
-    simulate = commands.add_parser("simulate", help="draw a data set; what is already there is kept")
-    simulate.add_argument("set", choices=["everyday", "views"])
-    simulate.add_argument("--groups", type=int, required=True, help="bodies to draw")
-    simulate.add_argument("--out", type=Path, required=True, help="folder of the data set")
-    simulate.add_argument("--seed", type=int, default=0)
-    simulate.add_argument("--workers", type=int, default=os.cpu_count() or 1)
-    simulate.set_defaults(run=_simulate)
-
     fit = commands.add_parser("fit", help="train a network, from where its run last stopped")
     fit.add_argument("network", choices=["reconstruction", "deformation"])
     fit.add_argument("--data", type=Path, required=True, help="folder of the data set")
     fit.add_argument("--run", dest="run_folder", type=Path, required=True, help="folder of the run")
+    fit.add_argument("--preset", default="realtime", help="realtime, realtime-gan, paper, or icgan (deformation only)")
     fit.add_argument("--steps", type=int, help="optimizer steps in all")
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)
@@ -48,54 +46,33 @@ def main(arguments: list[str] | None = None) -> int:
     export.add_argument("--version", required=True)
     export.set_defaults(run=_export)
 
+    add_simulate(commands)
+    add_dataset(commands)
+    add_solve(commands)
+
     options = parser.parse_args(arguments)
     code: int = options.run(options)
     return code
 
 
-def _simulate(options: argparse.Namespace) -> int:
-    from training.data.generate import fill
-    from training.data.store import Store
-
-    if options.set == "everyday":
-        from training.data.everyday import EverydayConfig, draw_group
-
-        config = EverydayConfig(seed=options.seed)
-        draw = functools.partial(draw_group, config)
-        configuration = {"set": "everyday", "groups": options.groups, **dataclasses.asdict(config)}
-    else:
-        from training.data import views
-
-        views_config = views.ViewsConfig(seed=options.seed)
-        draw = functools.partial(views.draw_group, views_config)
-        configuration = {"set": "views", "groups": options.groups, **dataclasses.asdict(views_config)}
-    manifest = fill(Store(options.out), draw, range(options.groups), options.workers, configuration)
-    print(
-        f"{manifest['samples']} samples in {manifest['groups']} groups, dropped {manifest['dropped']}", file=sys.stderr
-    )
-    return 0
-
-
 def _fit(options: argparse.Namespace) -> int:
     import torch
 
+    from training.configs import DEFORMATION_PRESETS, RECONSTRUCTION_PRESETS, ConfigError, chosen
     from training.data.store import StoreError
+    from training.fit_deformation import fit_deformation
+    from training.fit_reconstruction import fit_reconstruction
     from training.runs import Run, RunError
 
     torch.set_num_threads(options.threads)
-    chosen = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
-    chosen = {key: value for key, value in chosen.items() if value is not None}
+    changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
     try:
         if options.network == "deformation":
-            from training.fit_deformation import FitDeformationConfig, fit_deformation
-
-            fit_deformation(options.data, run, FitDeformationConfig(**chosen))
+            fit_deformation(options.data, run, chosen(DEFORMATION_PRESETS, options.preset, **changes))
         else:
-            from training.fit_reconstruction import FitReconstructionConfig, fit_reconstruction
-
-            fit_reconstruction(options.data, run, FitReconstructionConfig(**chosen))
-    except (RunError, StoreError) as error:
+            fit_reconstruction(options.data, run, chosen(RECONSTRUCTION_PRESETS, options.preset, **changes))
+    except (ConfigError, RunError, StoreError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

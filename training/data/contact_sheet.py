@@ -19,7 +19,7 @@ REST, DEFORMED, SEEN = (205, 200, 195), (90, 140, 235), (60, 120, 210)
 LIGHT = np.array([-0.5, -0.35, 0.8]) / np.linalg.norm([-0.5, -0.35, 0.8])
 AZIMUTH_RAD, ELEVATION_RAD = np.radians(-125.0), np.radians(28.0)
 
-Picture = UInt8[np.ndarray, "height width 3"]
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
 def contact_sheet(store: Store, samples: int = 24, seed: int = 0) -> bytes:
