@@ -70,7 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     serve = commands.add_parser(
         "serve", parents=[models], help="answer requests over HTTP and gRPC", epilog=_EPILOG,
         description="Serve until SIGTERM. Prints one line on stdout once it answers, `ready http=HOST:PORT "
-        "grpc=HOST:PORT`; logs go to stderr. Every setting is also an environment variable: PHYSNET_HOST, PHYSNET_TOKEN, …",
+        "grpc=HOST:PORT`; logs go to stderr. Every setting is also an environment variable: PHYSNET_HOST, …",
     )  # fmt: skip
     serve.add_argument("--host", help="address to listen on (PHYSNET_HOST)")
     serve.add_argument("--http-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_HTTP_PORT)")

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 import uvicorn
 
 from service.api.handler import Handler
+from service.api.oip_models import Models
 from service.api.rest import create_http
 from service.api.rpc_server import GrpcServer
 from service.core.errors import PhysNetError
 from service.core.manifest import Manifest
+from service.inference.graph import Graph
 from service.scheduler import Predictor, Scheduler
 from service.settings import Settings
 
@@ -29,10 +31,11 @@ KEEP_ALIVE_S = 75
 
 @dataclass(frozen=True)
 class Served:
-    """What answers requests, warmed up, and the manifests of its models."""
+    """What answers requests, warmed up, the manifests of its models, and the networks as they are."""
 
     predictor: Predictor
     manifests: Sequence[Manifest]
+    graphs: Sequence[Graph] = ()
 
 
 def build_pipeline(settings: Settings) -> Served:
@@ -50,7 +53,7 @@ def build_pipeline(settings: Settings) -> Served:
     models = load_models(settings.models, settings.threads)
     models.warm_up()
     limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
-    return Served(Pipeline(models.reconstruction, models.deformation, limits), models.manifests)
+    return Served(Pipeline(models.reconstruction, models.deformation, limits), models.manifests, models.graphs)
 
 
 class _Server(uvicorn.Server):
@@ -84,7 +87,8 @@ async def serve(
     stop = stop or asyncio.Event()
     _stop_on_signals(stop)
     handler = Handler()
-    rpc = GrpcServer(handler, settings)
+    models = Models(handler, settings.max_loads)
+    rpc = GrpcServer(handler, settings, models)
     listener = _listen(settings.host, settings.http_port)
     try:
         grpc_port = await rpc.start()
@@ -93,7 +97,7 @@ async def serve(
         raise
     server = _Server(
         uvicorn.Config(
-            create_http(handler, settings),
+            create_http(handler, settings, models),
             log_config=None,
             access_log=False,
             lifespan="off",
@@ -109,7 +113,7 @@ async def serve(
         await asyncio.wait({loading, stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         if loading.done():
             served = loading.result()
-            handler.open(Scheduler(served.predictor, settings.queue_size), served.manifests)
+            handler.open(Scheduler(served.predictor, settings.queue_size), served.manifests, served.graphs)
             await rpc.ready()
             host, http_port = listener.getsockname()[:2]
             host = f"[{host}]" if ":" in host else host

@@ -72,7 +72,7 @@ class RequestContext:
 
         code = "ok"
         try:
-            if scope["path"].startswith("/v1/"):
+            if scope["path"].startswith(("/v1/", "/v2/models")):
                 check_token(headers.get("authorization", ""), self._token)
             await self._app(scope, receive, send_with_id)
             code = state.get("code", "ok" if status < 400 else "internal")

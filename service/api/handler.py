@@ -8,6 +8,7 @@ from service.api.metrics import Metrics
 from service.core.errors import Overloaded
 from service.core.manifest import Manifest
 from service.core.messages import DeformRequest, DeformResult
+from service.inference.graph import Graph
 from service.scheduler import Answer, Place, Result, Scheduler
 
 
@@ -18,6 +19,7 @@ class Handler:
         self.metrics = Metrics(lambda: self._scheduler.queue_depth if self._scheduler else 0)
         self._scheduler: Scheduler | None = None
         self._manifests: tuple[Manifest, ...] = ()
+        self._graphs: tuple[Graph, ...] = ()
         self._stopping = False
 
     @property
@@ -30,9 +32,15 @@ class Handler:
         """Manifests of the models served; none before they are loaded."""
         return self._manifests
 
-    def open(self, scheduler: Scheduler, manifests: Sequence[Manifest]) -> None:
+    @property
+    def graphs(self) -> tuple[Graph, ...]:
+        """The networks as they are; none before they are loaded."""
+        return self._graphs
+
+    def open(self, scheduler: Scheduler, manifests: Sequence[Manifest], graphs: Sequence[Graph] = ()) -> None:
         """From here on requests are answered."""
         self._scheduler = scheduler
+        self._graphs = tuple(graphs)
         self._manifests = tuple(manifests)
         self.metrics.ready({m.name: m.version for m in manifests})
 

@@ -22,6 +22,8 @@ from service.api.body import read_body, read_multipart
 from service.api.context import RequestContext
 from service.api.handler import Handler
 from service.api.metrics import CONTENT_TYPE_LATEST
+from service.api.oip_models import Models
+from service.api.oip_rest import create_oip
 from service.api.problem import MEDIA_TYPE, document, field_path, problem_bytes
 from service.api.schemas import MaterialReply, MaterialsReply
 from service.api.status import meanings
@@ -42,8 +44,8 @@ _WEB = Path(__file__).resolve().parent.parent / "web"
 T = TypeVar("T")
 
 
-def create_http(handler: Handler, settings: Settings) -> FastAPI:
-    """The ASGI application."""
+def create_http(handler: Handler, settings: Settings, models: Models | None = None) -> FastAPI:
+    """The ASGI application; `models` are those of the Open Inference Protocol where it is served on two wires."""
     app = FastAPI(
         title="PhysNet",
         version=openapi.API_VERSION,
@@ -59,6 +61,9 @@ def create_http(handler: Handler, settings: Settings) -> FastAPI:
     _add_deform(app, handler, settings)
     _add_tables(app, handler)
     _add_operations(app, handler)
+    app.include_router(
+        create_oip(models or Models(handler, settings.max_loads), settings, openapi.API_VERSION)
+    )
     app.openapi = lambda: openapi.document(app, secured=token is not None)  # type: ignore[method-assign]
     return app
 

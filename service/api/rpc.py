@@ -11,7 +11,7 @@ from service.api.generated import deformation_pb2 as pb
 from service.api.handler import Handler
 from service.api.rpc_call import Calls, Context
 from service.api.rpc_stream import FrameStream
-from service.core.errors import InvalidRequest, Overloaded
+from service.core.errors import InvalidRequest, Overloaded, UnknownModel
 from service.core.materials import search_materials
 from service.core.messages import DeformRequest, DeformResult
 from service.scheduler import Answer
@@ -64,7 +64,7 @@ class DeformationService:
             manifests = self._handler.manifests
             names = [manifest.name for manifest in manifests]
             if request.name and request.name not in names:
-                raise InvalidRequest("No model has that name.", field="name", expected=names, actual=request.name[:80])
+                raise UnknownModel("No model has that name.", field="name", expected=names, actual=request.name[:80])
             return rpc_convert.get_model(m for m in manifests if request.name in ("", m.name))
 
     def _question(self, request: pb.DeformRequest) -> DeformRequest:

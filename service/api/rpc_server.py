@@ -9,8 +9,12 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection, reflection_pb2
 
+from service.api import oip_messages
 from service.api.generated import deformation_pb2
 from service.api.handler import Handler
+from service.api.oip_models import Models
+from service.api.oip_rpc import InferenceService
+from service.api.openapi import API_VERSION
 from service.api.rpc import SERVICE, DeformationService
 from service.api.rpc_call import Calls
 from service.api.rpc_handlers import generic_handler
@@ -26,14 +30,18 @@ FLUSH_S = 0.5
 class GrpcServer:
     """The server, before and after the models are loaded. To be made inside the event loop it serves on."""
 
-    def __init__(self, handler: Handler, settings: Settings) -> None:
+    def __init__(self, handler: Handler, settings: Settings, models: Models) -> None:
         self._server = grpc.aio.server(options=_options(settings))
         self._health = health.aio.HealthServicer()
-        self._services = [SERVICE]
+        self._services = [SERVICE, oip_messages.SERVICE]
         calls = Calls(handler, settings)
         ours = deformation_pb2.DESCRIPTOR.services_by_name["DeformationService"]
+        standard = InferenceService(models, settings, calls, API_VERSION)
         self._server.add_generic_rpc_handlers(
-            (generic_handler(ours, DeformationService(handler, settings, calls), calls),)
+            (
+                generic_handler(ours, DeformationService(handler, settings, calls), calls),
+                generic_handler(oip_messages.DESCRIPTION, standard, calls),
+            )
         )
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
         described = [*self._services, health.SERVICE_NAME, reflection.SERVICE_NAME]
@@ -96,7 +104,7 @@ def _options(settings: Settings) -> list[tuple[str, int]]:
 
 def _descriptors() -> Any:
     """What reflection tells of: a pool of its own, which holds every file that a service here is described in."""
-    files: dict[str, bytes] = {}
+    files = {oip_messages.FILE_NAME: oip_messages.FILE_BYTES}
     for module in (deformation_pb2, health_pb2, reflection_pb2):
         _collect(module.DESCRIPTOR, files)
     pool = DescriptorPool()

@@ -20,6 +20,7 @@ from service.core.errors import (
     PhysNetError,
     Unauthenticated,
     UnknownMaterial,
+    UnknownModel,
 )
 
 
@@ -58,6 +59,7 @@ STATUS: dict[type[PhysNetError], Status] = {
     UnknownMaterial: Status(
         422, "INVALID_ARGUMENT", "No material of that name; `expected` lists the nearest, /v1/materials all."
     ),
+    UnknownModel: Status(404, "NOT_FOUND", "No model of that name and version; `expected` lists those there are."),
     PayloadTooLarge: Status(413, "RESOURCE_EXHAUSTED", "More bytes or pixels than this service accepts."),
     Unauthenticated: Status(401, "UNAUTHENTICATED", "This service wants `Authorization: Bearer <token>`."),
     # UNAVAILABLE is the code that gRPC's own retry policies act on.

@@ -9,7 +9,8 @@
     │   ├── NoSupportPlane         no_support_plane        no plane is visible and `up` was not given
     │   ├── ContactOffBody         contact_off_body        a contact lies too far from the body's surface
     │   ├── MaterialOutOfRange     material_out_of_range   Young's modulus or Poisson's ratio is outside its range
-    │   └── UnknownMaterial        unknown_material        no material of that name; lists the nearest ones
+    │   ├── UnknownMaterial        unknown_material        no material of that name; lists the nearest ones
+    │   └── UnknownModel           unknown_model           no model of that name and version; lists those there are
     ├── PayloadTooLarge            payload_too_large       more bytes or pixels than the service accepts
     ├── Unauthenticated            unauthenticated         a token is required and was not given
     ├── Overloaded                 overloaded              the queue is full; try again after `retry_after_s`
@@ -89,6 +90,12 @@ class UnknownMaterial(InvalidRequest):
     """`expected` lists the nearest known names."""
 
     code = "unknown_material"
+
+
+class UnknownModel(InvalidRequest):
+    """`expected` lists the names, or the version, that there are."""
+
+    code = "unknown_model"
 
 
 class PayloadTooLarge(PhysNetError):

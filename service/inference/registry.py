@@ -14,16 +14,18 @@ from service.core.manifest import Manifest
 from service.core.voxels import VoxelView
 from service.inference.artefacts import read_manifest
 from service.inference.deformation import DeformationModel
+from service.inference.graph import Graph
 from service.inference.reconstruction import ReconstructionModel
 from service.inference.session import open_session
 
 
 @dataclass(frozen=True)
 class Models:
-    """One network of each kind."""
+    """One network of each kind, and both as they are."""
 
     reconstruction: ReconstructionModel
     deformation: DeformationModel
+    graphs: tuple[Graph, ...] = ()
 
     @property
     def manifests(self) -> tuple[Manifest, ...]:
@@ -64,11 +66,12 @@ def load_models(directory: Path, threads: int) -> Models:
     for kind in ("reconstruction", "deformation"):
         if kind not in by_kind:
             raise ModelMismatch(f"{directory} holds no {kind} model; export one with `physnet-train export`.")
+    graphs = {kind: Graph(open_session(*found, threads), found[1]) for kind, found in by_kind.items()}
+    seen, pushed = graphs["reconstruction"], graphs["deformation"]
     return Models(
-        reconstruction=ReconstructionModel(
-            open_session(*by_kind["reconstruction"], threads), by_kind["reconstruction"][1]
-        ),
-        deformation=DeformationModel(open_session(*by_kind["deformation"], threads), by_kind["deformation"][1]),
+        reconstruction=ReconstructionModel(seen.session, seen.manifest),
+        deformation=DeformationModel(pushed.session, pushed.manifest),
+        graphs=(seen, pushed),
     )
 
 

@@ -30,6 +30,7 @@ CODES = {
     "contact_off_body": 422,
     "material_out_of_range": 422,
     "unknown_material": 422,
+    "unknown_model": 404,
     "payload_too_large": 413,
     "unauthenticated": 401,
     "overloaded": 503,

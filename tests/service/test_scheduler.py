@@ -13,7 +13,7 @@ import pytest
 from service.core.errors import DeadlineExceeded, EmptyObject, Overloaded
 from service.core.materials import Material
 from service.core.messages import DeformRequest, KnownShape
-from service.scheduler import Scheduler
+from service.scheduler import Overtaken, Scheduler
 from tests.service.fakes import FakePredictor
 
 
@@ -217,3 +217,53 @@ def test_the_wait_that_is_told_follows_how_long_predictions_take():
         await asyncio.gather(*tasks)
 
     run(test, queue_size=1)
+
+
+def test_what_is_newer_takes_the_place_of_what_waits_and_not_of_what_is_being_answered():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        place = scheduler.place()
+        running = place.offer(ask("a"), soon())
+        await in_worker(gate)
+        waiting = place.offer(ask("b"), soon())
+        other = asyncio.ensure_future(scheduler.submit(ask("c"), soon()))
+        await asyncio.sleep(0)
+        newest = place.offer(ask("d"), soon())
+        with pytest.raises(Overtaken):
+            await waiting
+        assert scheduler.queue_depth == 2
+        gate.open.set()
+        await asyncio.gather(running, newest, other)
+
+    predictor = run(test, gate=Gate())
+    assert [request.material.name for request in predictor.asked] == ["a", "d", "c"]
+
+
+def test_an_offer_that_is_refused_leaves_what_waits_where_it_is():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        place = scheduler.place()
+        running = place.offer(ask("a"), soon())
+        await in_worker(gate)
+        waiting = place.offer(ask("b"), soon())
+        with pytest.raises(DeadlineExceeded):
+            place.offer(ask("late"), time.monotonic() - 1.0)
+        gate.open.set()
+        await asyncio.gather(running, waiting)
+
+    predictor = run(test, gate=Gate())
+    assert [request.material.name for request in predictor.asked] == ["a", "b"]
+
+
+def test_leaving_gives_the_place_up_once_and_for_all():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        place = scheduler.place()
+        running = place.offer(ask("a"), soon())
+        await in_worker(gate)
+        waiting = place.offer(ask("b"), soon())
+        place.leave()
+        place.leave()
+        assert waiting.cancelled()
+        assert scheduler.queue_depth == 0
+        gate.open.set()
+        await running
+
+    assert len(run(test, gate=Gate()).asked) == 1

@@ -168,8 +168,10 @@ def test_an_unknown_method_is_unimplemented(channel):
 
 
 def test_an_unknown_model_is_told_the_known(client):
-    problem = details(failed(client.GetModel, pb.GetModelRequest(name="gpt")), pb.Problem)
-    assert (problem.code, problem.field) == ("invalid_request", "name")
+    error = failed(client.GetModel, pb.GetModelRequest(name="gpt"))
+    assert error.code() == grpc.StatusCode.NOT_FOUND
+    problem = details(error, pb.Problem)
+    assert (problem.code, problem.field) == ("unknown_model", "name")
     assert [value.string_value for value in problem.expected.list_value.values] == ["fake"]
 
 
@@ -227,6 +229,8 @@ def test_a_token_is_asked_for_where_one_is_set():
             next(stream)
         assert caught.value.code() == grpc.StatusCode.UNAUTHENTICATED
         assert client.Deform(question(), metadata=[("authorization", "Bearer s3cret")]).request_id
+        assert httpx.get(f"{service.url}/v2/models/stats").status_code == 401
+        assert httpx.get(f"{service.url}/v2/health/live").status_code == 200
         # Probes carry no token.
         health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest())
     assert len(service.predictor.asked) == 1
