@@ -298,7 +298,7 @@ def test_a_full_queue_is_told_with_retry_after_and_a_vanished_client_frees_its_p
         first = threading.Thread(target=post)
         first.start()
         assert entered.wait(10)
-        impatient = threading.Thread(target=post, args=(0.6,))
+        impatient = threading.Thread(target=post, args=(2.0,))
         impatient.start()
         depth = lambda: "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text  # noqa: E731
         assert until(depth)
