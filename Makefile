@@ -121,7 +121,7 @@ $(BASE)/.installed-test: $(BASE)/.installed-demo
 $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 	$(call say,$(FULL): installing everything with torch; a minute or more)
 	"$(FULL_PYTHON)" -m pip $(PIP_FLAGS) install $(if $(TORCH_INDEX),--extra-index-url "$(TORCH_INDEX)") \
-		--editable ".[training,pictures,test,oracle,lint]"
+		--editable ".[training,cluster,pictures,test,oracle,lint]"
 	@touch "$@"
 
 # One exact version: proto/generate.py says why. Its wheels are for Python 3.11 and 3.12.
