@@ -75,13 +75,13 @@ def _slope(gradient: Float32[np.ndarray, "3 3 m"]) -> Float32[np.ndarray, "3 3 m
 
 
 def _filled(channels: Float32[np.ndarray, "c x y z"]) -> Float32[np.ndarray, "c x y z"]:
-    """Sums of samples, completed where there are few from those of a lattice half as fine."""
+    """Sums of samples, completed where there are few from those of lattices a quarter as fine."""
     size = channels.shape[1]
-    if size <= 2:
+    if size <= 4:
         return np.asarray(channels + np.float32(_PARENT_SHARE) * channels.mean(axis=(1, 2, 3), keepdims=True))
-    parent = _filled(_each_axis(_POOLING[size], channels))
+    parent = _filled(_each_axis(_POOLING, channels))
     parent *= np.float32(_PARENT_SHARE) / parent[:1]
-    return np.asarray(channels + _each_axis(_SPREADING[size], parent))
+    return np.asarray(channels + _each_axis(_SPREADING, parent))
 
 
 def _each_axis(
@@ -94,18 +94,18 @@ def _each_axis(
     return np.asarray(np.matmul(table, along_y.reshape(c, old, new * new)).reshape(c, new, new, new))
 
 
-def _upsampling(size: int, continued: bool) -> Float32[np.ndarray, "fine coarse"]:
-    """Linear interpolation from `size` cell centres to twice as many; past the last ones continued or held."""
-    place = (np.arange(2 * size) + 0.5) / 2.0 - 0.5
+def _interpolation(coarse: int, fine: int, continued: bool) -> Float32[np.ndarray, "fine coarse"]:
+    """Linear interpolation from the centres of `coarse` cells to those of `fine`; past the last continued or held."""
+    place = (np.arange(fine) + 0.5) * coarse / fine - 0.5
     if not continued:
-        place = np.clip(place, 0.0, size - 1.0)
-    below = np.clip(np.floor(place).astype(int), 0, size - 2)
-    table = np.zeros((2 * size, size), np.float32)
-    table[np.arange(2 * size), below] = 1.0 - (place - below)
-    table[np.arange(2 * size), below + 1] = place - below
+        place = np.clip(place, 0.0, coarse - 1.0)
+    below = np.clip(np.floor(place).astype(int), 0, coarse - 2)
+    table = np.zeros((fine, coarse), np.float32)
+    table[np.arange(fine), below] = 1.0 - (place - below)
+    table[np.arange(fine), below + 1] = place - below
     return table
 
 
-_TO_FIELD = _upsampling(_SPLAT_SIZE, continued=True)
-_SPREADING = {size: _upsampling(size // 2, continued=False) for size in (4, 8, 16)}
-_POOLING = {size: np.repeat(np.eye(size // 2, dtype=np.float32), 2, axis=1) for size in (4, 8, 16)}
+_TO_FIELD = _interpolation(_SPLAT_SIZE, FIELD_SIZE, continued=True)
+_SPREADING = _interpolation(_SPLAT_SIZE // 4, _SPLAT_SIZE, continued=False)
+_POOLING = np.repeat(np.eye(_SPLAT_SIZE // 4, dtype=np.float32), 4, axis=1)
