@@ -1,0 +1,1 @@
+"""What the paper measured, measured again; each module is one question and prints its own table."""
