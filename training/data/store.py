@@ -27,7 +27,7 @@ STORE_VERSION = 2
 """2: fields are kept at the nodes near the body, forward as well as backward; coverage follows from the bits."""
 
 COMPRESSION = 1
-"""Level of the deflate: level 6, NumPy's own, takes half as long again for 3 % less (measured on one `everyday` group)."""
+"""Level of the deflate: level 6, NumPy's own, takes half as long again for 3 % less (measured on one group)."""
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
