@@ -46,7 +46,7 @@ class EverydayConfig:
         near_edge: Chance of a contact to be drawn close to an edge or rim.
         identity_iou: The largest load of each push deforms the body, by the linear law, until the IoU with itself at
             rest falls to a value drawn uniformly from this range; a fixed range of forces would make a trivial set.
-            Bodies stiffen: over all samples the median is 0.73 (measured on 150; 0.70 to 0.78 is aimed at).
+            Bodies stiffen: over all samples the median is 0.73 (measured on 202; 0.70 to 0.78 is aimed at).
         fractions: Load steps of the nonlinear solution, each of them a sample. None: only the linear law, one sample
             for each push.
         small_fraction: One more, linear sample at a share of the first step drawn log-uniformly from this range, so
