@@ -132,10 +132,10 @@ class Hexahedron:
         # The empty part of a cell is filled with a linear material of almost no stiffness: its Gauss points may turn
         # inside out without a cost, which an energy with ln J could not bear.
         self.void = VOID_STIFFNESS * (1.0 - octant_fill.mean(axis=0))
-        full = np.full((8, 1), volume / 8.0)
-        laplace = np.einsum("gca,gcb->ab", operator, operator) * volume / 8.0
-        trace = operator[:, [0, 4, 8]].sum(axis=1)
-        self._void_matrix = laplace + trace.T @ (full * trace)
+        # of symmetric strains, ν = 0: one that resisted rotations stiffened slender bodies by a third
+        transposed = operator[:, [0, 3, 6, 1, 4, 7, 2, 5, 8]]
+        strain = 0.5 * (operator + transposed)
+        self._void_matrix = np.einsum("gca,gcb->ab", strain, strain) * volume / 8.0
         self._void_pairs = self._void_matrix[PAIRS_24][:, None]
 
     def deformation_gradient(self, displacements: Float64[np.ndarray, "24 cells"]) -> Float64[np.ndarray, "8 9 cells"]:

@@ -86,7 +86,7 @@ class SampledDistance:
 
     @cached_property
     def octant_fill(self) -> Float64[np.ndarray, "n2 n2 n2"]:
-        """Part of each octant that lies inside, by counting sample points."""
+        """Part of each octant that lies inside, as the mean over sample points."""
         fill = (self.state == INSIDE).astype(np.float64)
         octants = np.argwhere(self.state == NEAR)
         value = self.lattice.ravel()[_nodes(octants, 2 * self.cells)] @ _TO_SAMPLES
@@ -101,7 +101,7 @@ class SampledDistance:
 
 
 def octant_fill(distance: Distance, cells: int) -> Float64[np.ndarray, "n2 n2 n2"]:
-    """Part of each of the (2·cells)³ octants that lies inside, by counting sample points."""
+    """Part of each of the (2·cells)³ octants that lies inside, as the mean over sample points."""
     return SampledDistance.of(distance, cells).octant_fill
 
 

@@ -14,16 +14,19 @@ SHAPES = {
 
 
 def plain_fill(distance, cells):
-    """Every octant's 4³ samples asked one by one."""
+    """Share of every octant's 4³ samples, each asked of the function itself."""
     samples = (np.arange(8 * cells) + 0.5) / (8 * cells)
     points = np.stack(np.meshgrid(samples, samples, samples, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = (distance(points.astype(np.float32)) < 0).reshape((2 * cells, 4) * 3)
-    return inside.mean(axis=(1, 3, 5))
+    share = np.clip(0.5 - distance(points.astype(np.float32)) * 8 * cells, 0.0, 1.0)
+    return share.reshape((2 * cells, 4) * 3).mean(axis=(1, 3, 5))
 
 
 @pytest.mark.parametrize("name", SHAPES)
-def test_fill_is_the_count_of_all_samples(name):
-    np.testing.assert_array_equal(SampledDistance.of(SHAPES[name], 12).octant_fill, plain_fill(SHAPES[name], 12))
+def test_fill_is_the_share_of_all_samples(name):
+    """Within 2 % of an octant everywhere, and 5e-4 of the volume: along edges interpolation rounds."""
+    found, expected = SampledDistance.of(SHAPES[name], 12).octant_fill, plain_fill(SHAPES[name], 12)
+    assert np.abs(found - expected).max() < 0.02
+    assert found.sum() == pytest.approx(expected.sum(), rel=5e-4)
 
 
 @pytest.mark.parametrize("name", SHAPES)
