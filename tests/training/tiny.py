@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -159,12 +160,14 @@ DATASET = {
 }
 
 
-def save_checkpoint(network: nn.Module, config: object, root: Path) -> Path:
-    """A checkpoint as a run writes it after step 7."""
+def save_checkpoint(
+    network: nn.Module, config: object, root: Path, dataset: dict[str, Any] | None = None
+) -> Path:
+    """A checkpoint as a run writes it after step 7, on a data set of this manifest."""
     run = Run(root)
     optimizer = torch.optim.AdamW(network.parameters())
     schedule = torch.optim.lr_scheduler.ConstantLR(optimizer)
     parts = {"network": network, "optimizer": optimizer, "schedule": schedule}
-    run.resume(parts, config, DATASET)
+    run.resume(parts, config, dataset or DATASET)
     run.checkpoint(7, parts, config)
     return run.checkpoint_path
