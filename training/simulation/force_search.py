@@ -33,9 +33,7 @@ def force_for_identity_iou(
     Returns:
         The same load with another load number; None where no displacement within the cube overlaps that little.
     """
-    body = rasteriser.body
-    inner = np.unique(body.cell_nodes[body.fill >= 0.5])
-    peak = float(np.linalg.norm(displacement[inner], axis=1).max(initial=0.0))
+    peak = float(np.linalg.norm(displacement[rasteriser.solid_nodes], axis=1).max(initial=0.0))
     if not 0.0 < peak < np.inf:
         return None
     limit = _MAX_STRETCH / peak

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, UInt8
 
 from training.simulation.compiled import compiled
-from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, STRAIGHT_ERROR, interpolated, straight
 
 Row: TypeAlias = tuple[float, float, float, float]
 
@@ -213,7 +213,12 @@ def _side(
     side = state[i, j, k]
     if side != NEAR:
         return int(side)
-    value = interpolated(lattice, i, j, k, 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c)
+    u, v, w = 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c
+    # the corners alone mostly tell
+    value = straight(lattice, i, j, k, u, v, w)
+    if abs(value) > STRAIGHT_ERROR * doubt[i, j, k]:
+        return INSIDE if value < 0.0 else OUTSIDE
+    value = interpolated(lattice, i, j, k, u, v, w)
     if cautious and abs(value) <= doubt[i, j, k]:
         return NEAR
     return INSIDE if value < 0.0 else OUTSIDE

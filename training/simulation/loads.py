@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from service.core.arrays import Vector3
 from training.simulation.body import Body
+from training.simulation.compiled import compiled
 from training.simulation.elements import GAUSS_POINTS, shape_functions
 from training.simulation.patch import surface_patch
 from training.simulation.surface import surface_gradient
@@ -69,13 +70,33 @@ def _patch_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
     squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
     weight = np.clip(1.0 - squared, 0.0, None) ** 2 * area
     weight *= normals @ outward > FACING
-    cell, local = body.settle(points, normals)
-    good = (cell >= 0) & (weight > 0.0)
-    if not good.any():
+    loaded = weight > 0.0
+    cell, local = body.settle(points[loaded], normals[loaded])
+    if not (cell >= 0).any():
         raise LoadError("no material lies under the load's patch: move the contact onto the surface")
-    spread = shape_functions(local[good]) * weight[good, None]
-    nodal = np.bincount(body.cell_nodes[cell[good]].ravel(), weights=spread.ravel(), minlength=body.nodes)
+    nodal = np.zeros(body.nodes)
+    _spread(cell, local, weight[loaded], body.cell_nodes, nodal)
     return np.asarray((nodal / nodal.sum())[:, None] * (load.load_number * load.direction))
+
+
+@compiled
+def _spread(
+    cell: Int[np.ndarray, " n"],
+    local: Float64[np.ndarray, "n 3"],
+    weight: Float64[np.ndarray, " n"],
+    cell_nodes: Int[np.ndarray, "m 8"],
+    nodal: Float64[np.ndarray, " nodes"],
+) -> None:
+    """Add the weight of every point that has a cell to its corners, by their shape functions."""
+    for row in range(len(cell)):
+        if cell[row] < 0:
+            continue
+        x, y, z = local[row, 0], local[row, 1], local[row, 2]
+        for corner in range(8):
+            share = x if corner & 4 else 1.0 - x
+            share *= y if corner & 2 else 1.0 - y
+            share *= z if corner & 1 else 1.0 - z
+            nodal[cell_nodes[cell[row], corner]] += share * weight[row]
 
 
 def self_weight(body: Body, weight_number: Vector3) -> Float64[np.ndarray, "nodes 3"]:

@@ -7,7 +7,7 @@ from jaxtyping import Float32, Float64
 
 from service.core.arrays import Vector3
 from training.simulation.compiled import compiled
-from training.simulation.sampled import SAMPLED_SHELL, SampledDistance, interpolated
+from training.simulation.sampled import SAMPLED_SHELL, STRAIGHT_ERROR, SampledDistance, interpolated, straight
 from training.simulation.surface import SHELL, Distance, surface_quadrature
 
 _SLACK = 1e-9
@@ -38,13 +38,13 @@ def _interpolated_patch(
 ) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, "m 3"], Float64[np.ndarray, " m"]]:
     # along edges, where interpolation would round the normals, the function itself is asked
     vague = _VAGUE / (4 * sampled.cells)
-    values = _lattice_values(centre, reach, radius, vague, sampled.lattice, sampled.doubt)
-    asked = centre + reach[np.argwhere(np.isnan(values))]
-    count = int((np.abs(values) < SHELL * spacing).sum())
+    shell = SHELL * spacing
+    values, count, doubtful = _lattice_values(centre, reach, radius, shell, vague, sampled.lattice, sampled.doubt)
     points, normals, area = np.empty((count, 3)), np.empty((count, 3)), np.empty(count)
-    _project(centre, reach, values, sampled.lattice, SHELL * spacing, points, normals, area)
-    if not len(asked):
+    _project(centre, reach, values, sampled.lattice, shell, points, normals, area)
+    if not doubtful:
         return points, normals, area * (spacing**2 / SHELL)
+    asked = centre + reach[np.argwhere(np.isnan(values))]
     more_points, more_normals, more_area = surface_quadrature(sampled, asked, spacing)
     return (
         np.concatenate([points, more_points]),
@@ -58,14 +58,17 @@ def _lattice_values(
     centre: Vector3,
     reach: Float64[np.ndarray, " n"],
     radius: float,
+    shell: float,
     vague: float,
     lattice: Float32[np.ndarray, "n4 n4 n4"],
     doubt: Float32[np.ndarray, "n2 n2 n2"],
-) -> Float64[np.ndarray, "n n n"]:
-    """Interpolated distances at centre + reach × reach × reach.
+) -> tuple[Float64[np.ndarray, "n n n"], int, int]:
+    """Interpolated distances at centre + reach × reach × reach, how many lie within the shell, and how many are NaN.
 
-    Infinite out of the ball and far from the surface, NaN in octants of more doubt than `vague`.
+    Infinite out of the ball and far from the surface, NaN where an octant of more doubt than `vague` may hold a point
+    of the shell.
     """
+    near, doubtful = 0, 0
     n = doubt.shape[0]
     values = np.full((len(reach), len(reach), len(reach)), np.inf)
     for a in range(len(reach)):
@@ -77,12 +80,19 @@ def _lattice_values(
                 if reach[a] ** 2 + reach[b] ** 2 + reach[c] ** 2 >= radius**2 or min(x, y, z) < 0 or max(x, y, z) >= n:
                     continue
                 i, j, k = int(x), int(y), int(z)
+                if doubt[i, j, k] <= 0.0:
+                    continue
+                u, v, w = 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0
+                # far points need no more than the corners to tell
+                if abs(straight(lattice, i, j, k, u, v, w)) > shell + STRAIGHT_ERROR * doubt[i, j, k]:
+                    continue
                 if doubt[i, j, k] > vague:
                     values[a, b, c] = np.nan
-                elif doubt[i, j, k] > 0.0:
-                    u, v, w = 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0
-                    values[a, b, c] = interpolated(lattice, i, j, k, u, v, w)
-    return values
+                    doubtful += 1
+                    continue
+                values[a, b, c] = interpolated(lattice, i, j, k, u, v, w)
+                near += abs(values[a, b, c]) < shell
+    return values, near, doubtful
 
 
 @compiled

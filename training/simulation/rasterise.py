@@ -41,6 +41,10 @@ class Rasteriser:
     Args:
         body: The body.
         size: Voxels along each edge of the cube.
+
+    Attributes:
+        rest: The body at rest.
+        solid_nodes: Nodes of cells that are at least half full.
     """
 
     def __init__(self, body: Body, size: int = GRID_SIZE) -> None:
@@ -51,6 +55,7 @@ class Rasteriser:
             if isinstance(body.distance, SampledDistance) and body.distance.cells == body.cells
             else SampledDistance.of(body.distance, body.cells)
         )
+        self.solid_nodes: Int[np.ndarray, " n"] = np.unique(body.cell_nodes[body.fill >= 0.5])
         centres = voxel_centres(size)
         self.rest: Bool[np.ndarray, "x y z"] = self._distance.inside(centres).reshape((size,) * 3)
         index = np.flatnonzero(self.rest)

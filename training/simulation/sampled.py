@@ -22,6 +22,9 @@ OUTSIDE, INSIDE, NEAR = 0, 1, 2
 SAMPLED_SHELL = 0.75
 """Half thickness, in octants, of the shell around the surface where the lattice has values: what loads integrate over,
 `surface.SHELL` times a quarter of a cell."""
+STRAIGHT_ERROR = 3.0
+"""Doubts by which `straight` must differ from zero for `interpolated` to differ from it by more than one, on the same
+side: nodes off by one move a quadratic by up to 1.25 along each axis, 1.25³ = 1.95 in all."""
 _REACH = 1.25
 """How many times its half diagonal a cube's centre must lie away from the surface to be settled: a margin for functions
 that are only nearly distances; ellipsoids overstate theirs by up to 17 %."""
@@ -124,6 +127,18 @@ def interpolated(
             line = r[0] * lattice[i + a, j + b, k] + r[1] * lattice[i + a, j + b, k + 1]
             value += p[a] * q[b] * (line + r[2] * lattice[i + a, j + b, k + 2])
     return value
+
+
+@compiled
+def straight(lattice: Float32[np.ndarray, "n4 n4 n4"], i: int, j: int, k: int, x: float, y: float, z: float) -> float:
+    """As `interpolated`, trilinearly between the octant's corners: a third of the work."""
+    i, j, k = 2 * i, 2 * j, 2 * k
+    x, y, z = 0.5 * (x + 1.0), 0.5 * (y + 1.0), 0.5 * (z + 1.0)
+    a = (1.0 - z) * lattice[i, j, k] + z * lattice[i, j, k + 2]
+    b = (1.0 - z) * lattice[i, j + 2, k] + z * lattice[i, j + 2, k + 2]
+    c = (1.0 - z) * lattice[i + 2, j, k] + z * lattice[i + 2, j, k + 2]
+    d = (1.0 - z) * lattice[i + 2, j + 2, k] + z * lattice[i + 2, j + 2, k + 2]
+    return float((1.0 - x) * ((1.0 - y) * a + y * b) + x * ((1.0 - y) * c + y * d))
 
 
 @compiled

@@ -31,14 +31,12 @@ def project_to_surface(
     distance: Distance, points: Float64[np.ndarray, "n 3"], steps: int = 3
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     """Nearest points on the surface by Newton's method along the gradient, and outward unit normals there."""
-    projected = points.copy()
+    projected = points
     for _ in range(steps):
         gradient = surface_gradient(distance, projected)
         value = distance(projected.astype(np.float32)).astype(np.float64)
-        projected -= gradient * (value / np.maximum((gradient**2).sum(axis=1), 1e-6))[:, None]
-    gradient = surface_gradient(distance, projected)
-    normal = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
-    return projected, normal
+        projected = _stepped(projected, value, gradient)
+    return projected, _normals(distance, projected)
 
 
 def surface_quadrature(
@@ -54,8 +52,21 @@ def surface_quadrature(
         lattice: Points of a cubic lattice; those farther than 1.5 spacings from the surface are dropped.
         spacing: Between neighbours of the lattice.
     """
-    value = np.abs(distance(lattice.astype(np.float32)).astype(np.float64))
-    near = value < SHELL * spacing
-    points, normals = project_to_surface(distance, lattice[near], steps=1)
-    area = (1.0 - value[near] / (SHELL * spacing)) * (spacing**2 / SHELL)
-    return points, normals, area
+    value = distance(lattice.astype(np.float32)).astype(np.float64)
+    near = np.abs(value) < SHELL * spacing
+    lattice, value = lattice[near], value[near]
+    points = _stepped(lattice, value, surface_gradient(distance, lattice))
+    area = (1.0 - np.abs(value) / (SHELL * spacing)) * (spacing**2 / SHELL)
+    return points, _normals(distance, points), area
+
+
+def _stepped(
+    points: Float64[np.ndarray, "n 3"], value: Float64[np.ndarray, " n"], gradient: Float64[np.ndarray, "n 3"]
+) -> Float64[np.ndarray, "n 3"]:
+    """Points after one step of Newton's method along the gradient."""
+    return np.asarray(points - gradient * (value / np.maximum((gradient**2).sum(axis=1), 1e-6))[:, None])
+
+
+def _normals(distance: Distance, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    gradient = surface_gradient(distance, points)
+    return np.asarray(gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9))

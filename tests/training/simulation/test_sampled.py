@@ -3,7 +3,7 @@ import pytest
 
 from tests.training.simulation.bodies import box, bridge, sphere, union, whole_cube
 from training.simulation.rasterise import voxel_centres
-from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, STRAIGHT_ERROR, SampledDistance, interpolated, straight
 
 SHAPES = {
     "ball": sphere([0.5, 0.47, 0.42], 0.3),
@@ -79,3 +79,18 @@ def test_doubt_bounds_the_error_of_interpolation():
         found = [interpolated(sampled.lattice, *(int(i) for i in octant), *(float(t) for t in row)) for row in local]
         error = np.abs(np.array(found) - SHAPES["ball"](points.astype(np.float32)))
         assert error.max() < sampled.doubt[tuple(octant)]
+
+
+def test_where_the_corners_of_an_octant_tell_the_side_all_its_nodes_tell_the_same():
+    """At edges, where the two differ most."""
+    sampled = SampledDistance.of(box([0.511, 0.48, 0.217], [0.203, 0.117, 0.211]), 24)
+    rng = np.random.default_rng(0)
+    told = 0
+    for i, j, k in np.argwhere(sampled.doubt > 0.1 * sampled.doubt.max()):
+        x, y, z = rng.uniform(-1.0, 1.0, 3)
+        corners = straight(sampled.lattice, i, j, k, x, y, z)
+        if abs(corners) > STRAIGHT_ERROR * sampled.doubt[i, j, k]:
+            whole = interpolated(sampled.lattice, i, j, k, x, y, z)
+            assert whole * np.sign(corners) > sampled.doubt[i, j, k]
+            told += 1
+    assert told > 100
