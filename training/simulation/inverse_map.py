@@ -62,7 +62,7 @@ def material_points(
     first = np.empty(3, np.int64)
     last = np.empty(3, np.int64)
     for cell in range(len(active)):
-        if not _expand(position, cell_nodes[cell], size, terms, first, last):
+        if not _expand(position, cell_nodes, cell, size, terms, first, last):
             continue
         if not _invert(terms, inverse, curved):
             continue
@@ -117,7 +117,8 @@ def material_points(
 @compiled
 def _expand(
     position: Float64[np.ndarray, "nodes 3"],
-    nodes: Int[np.ndarray, " 8"],
+    cell_nodes: Int[np.ndarray, "m 8"],
+    cell: int,
     size: int,
     terms: Float64[np.ndarray, "8 3"],
     first: Int[np.ndarray, " 3"],
@@ -129,7 +130,7 @@ def _expand(
         for term in range(8):
             terms[term, axis] = 0.0
         for corner in range(8):
-            value = position[nodes[corner], axis]
+            value = position[cell_nodes[cell, corner], axis]
             low, high = min(low, value), max(high, value)
             # at the corners ξ = ±½: a coefficient of p factors is 2ᵖ times the mean of their signs' products
             x, y, z = 2.0 * (corner >> 2 & 1) - 1.0, 2.0 * (corner >> 1 & 1) - 1.0, 2.0 * (corner & 1) - 1.0

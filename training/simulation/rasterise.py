@@ -131,14 +131,14 @@ def _interpolate(
     peak, total = 0.0, 0.0
     for row in range(len(place)):
         x, y, z = local[row, 0], local[row, 1], local[row, 2]
-        nodes = cell_nodes[cell[row]]
+        m = cell[row]
         length = 0.0
         for axis in range(3):
             # corner 4·dx + 2·dy + dz: halve along z, then y, then x
-            a = nodal[nodes[0], axis] * (1 - z) + nodal[nodes[1], axis] * z
-            b = nodal[nodes[2], axis] * (1 - z) + nodal[nodes[3], axis] * z
-            c = nodal[nodes[4], axis] * (1 - z) + nodal[nodes[5], axis] * z
-            d = nodal[nodes[6], axis] * (1 - z) + nodal[nodes[7], axis] * z
+            a = nodal[cell_nodes[m, 0], axis] * (1 - z) + nodal[cell_nodes[m, 1], axis] * z
+            b = nodal[cell_nodes[m, 2], axis] * (1 - z) + nodal[cell_nodes[m, 3], axis] * z
+            c = nodal[cell_nodes[m, 4], axis] * (1 - z) + nodal[cell_nodes[m, 5], axis] * z
+            d = nodal[cell_nodes[m, 6], axis] * (1 - z) + nodal[cell_nodes[m, 7], axis] * z
             value = (a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x
             field[axis, place[row]] = value
             length += value * value
