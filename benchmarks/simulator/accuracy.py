@@ -24,7 +24,7 @@ import numpy as np
 from benchmarks.simulator.refinement import plot_refinement
 from service.core.condition import POISSON_RATIO_MAX
 from training.data.body_cube import place_in_body_grid
-from training.data.everyday import SEARCH_SIZE, EverydayConfig, _pushes
+from training.data.everyday import SEARCH_SIZE, EverydayConfig, draw_pushes
 from training.data.samples import LENGTHS_M
 from training.metrics import iou
 from training.simulation.body import Body, BodyError
@@ -87,7 +87,7 @@ def draw_scene(config: EverydayConfig, index: int) -> Scene | str:
     try:
         body = Body.from_distance(shape.distance, cells)
         rough = Rasteriser(body, SEARCH_SIZE)
-        push = _pushes(config, body, Rasteriser(body).rest, rng)[0]
+        push = draw_pushes(config, body, Rasteriser(body).rest, rng)[0]
         linear = LinearSolver(body, poisson_ratio).solve([push.unit])[0]
     except (BodyError, LoadError) as error:
         return error.reason

@@ -101,7 +101,7 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
         if narrow_gaps(body) > MAX_NARROW_GAPS:
             raise Dropped("narrow_gap")
         fine, rough = Rasteriser(body), Rasteriser(body, SEARCH_SIZE)
-        pushes = _pushes(config, body, fine.rest, rng)
+        pushes = draw_pushes(config, body, fine.rest, rng)
     except BodyError as error:
         raise Dropped(error.reason) from error
     solver = LinearSolver(body, material.poisson_ratio)
@@ -135,7 +135,7 @@ class _Push(NamedTuple):
     location: tuple[int, float]
 
 
-def _pushes(config: EverydayConfig, body: Body, rest: Occupancy, rng: np.random.Generator) -> list[_Push]:
+def draw_pushes(config: EverydayConfig, body: Body, rest: Occupancy, rng: np.random.Generator) -> list[_Push]:
     """Places, directions and patches of all pushes on a body.
 
     Raises:

@@ -7,7 +7,6 @@ from jaxtyping import Float64
 
 from training.simulation import material_law
 from training.simulation.elements import Hexahedron
-from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.solved_case import SolvedCase
 from training.simulation.stress import linear_von_mises, von_mises
 
@@ -18,10 +17,7 @@ def cell_fields(solved: SolvedCase) -> tuple[Float64[np.ndarray, " m"], Float64[
     linear = solved.case.law == "linear"
     stress = linear_von_mises(solved.solver, state.displacement) if linear else von_mises(solved.solver, state)
     moved = body.gather(state.displacement)
-    if isinstance(element, EnhancedHexahedron):
-        gradient = element._enhanced_gradient(moved, state.parameters)
-    else:
-        assert isinstance(element, Hexahedron)
-        gradient = element.deformation_gradient(moved)
+    assert isinstance(element, Hexahedron)  # the stress above was read at its Gauss points
+    gradient = element.full_gradient(moved, state.parameters)
     jacobian = element.material_jacobian(material_law.cofactor(gradient)[1])
     return stress * solved.case.material.young_modulus_pa, np.asarray(jacobian.min(axis=0))

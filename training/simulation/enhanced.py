@@ -50,7 +50,7 @@ class EnhancedHexahedron(Hexahedron):
         self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
     ) -> ElementState:
         """See `Element.evaluate`."""
-        gradient = self._enhanced_gradient(displacements, parameters)
+        gradient = self.full_gradient(displacements, parameters)
         cofactor, jacobian = material_law.cofactor(gradient)
         jacobian = self.material_jacobian(jacobian)
         smallest = float(jacobian.min())
@@ -93,7 +93,7 @@ class EnhancedHexahedron(Hexahedron):
         self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
     ) -> tuple[ElementTangent, np.ndarray]:
         cells = displacements.shape[1]
-        cofactor, jacobian = material_law.cofactor(self._enhanced_gradient(displacements, parameters))
+        cofactor, jacobian = material_law.cofactor(self.full_gradient(displacements, parameters))
         jacobian = self.material_jacobian(jacobian)
         swap = self.weights * (self.mu - self.lam * np.log(jacobian))
         moduli = self.moduli(cofactor, jacobian, swap, self.lam * self.weights)
@@ -119,11 +119,6 @@ class EnhancedHexahedron(Hexahedron):
         self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
     ) -> Float64[np.ndarray, "8 9 cells"]:
         """See `Hexahedron.full_gradient`."""
-        return self._enhanced_gradient(displacements, parameters)
-
-    def _enhanced_gradient(
-        self, displacements: Float64[np.ndarray, "24 cells"], parameters: Float64[np.ndarray, "9 cells"]
-    ) -> Float64[np.ndarray, "8 9 cells"]:
         gradient = self.deformation_gradient(displacements)
         for entry in range(9):
             gradient[:, entry] += parameters[entry] * self._modes[entry % 3]
