@@ -15,16 +15,27 @@ from service.core.camera import Intrinsics, pixel_to_point
 from service.core.condition import POISSON_RATIO_MAX, Condition, encode_condition, load_number
 from service.core.contact import snap_contact
 from service.core.depth import decode_depth, decode_mask
+from service.core.depth_crop import DepthCrop, crop_around
 from service.core.errors import InvalidRequest
 from service.core.grids import Grid
 from service.core.limits import DEFAULT_LIMITS, FrameLimits
 from service.core.materials import Material
-from service.core.messages import DeformRequest, DeformResult, Displacement, KnownShape, Load, LoadResult, Observation
+from service.core.messages import (
+    DeformRequest,
+    DeformResult,
+    Displacement,
+    EarlierReconstruction,
+    KnownShape,
+    Load,
+    LoadResult,
+    Observation,
+)
 from service.core.segmentation import segment
 from service.core.shapes import decode_shape
 from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
+from service.reconstructions import Reconstructions
 
 KNOWN_SHAPE_THRESHOLD = 0.5
 """A known shape is binary: half-way is its surface whatever the networks' thresholds are."""
@@ -43,6 +54,7 @@ class Body:
         probability: Occupancy probability.
         occupancy: The body.
         flags: What the robot should know about it.
+        crop: The depth image around it, in which later contacts are looked up; None for a known shape.
     """
 
     grid: Grid
@@ -50,6 +62,14 @@ class Body:
     probability: Probability
     occupancy: Occupancy
     flags: frozenset[str]
+    crop: DepthCrop | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of its arrays."""
+        depth_m = None if self.crop is None else self.crop.depth_m
+        arrays = (self.observed, self.probability, self.occupancy, depth_m)
+        return sum(array.nbytes for array in arrays if array is not None)
 
 
 @dataclass(frozen=True)
@@ -91,14 +111,20 @@ class Pipeline:
         reconstruction: From a view to a full shape.
         deformation: From a full shape and loads to deformed shapes.
         limits: What is decoded at all.
+        kept: Where reconstructions are kept to be asked again; none are where it is None.
     """
 
     def __init__(
-        self, reconstruction: ReconstructionModel, deformation: DeformationModel, limits: FrameLimits = DEFAULT_LIMITS
+        self,
+        reconstruction: ReconstructionModel,
+        deformation: DeformationModel,
+        limits: FrameLimits = DEFAULT_LIMITS,
+        kept: Reconstructions[Body] | None = None,
     ) -> None:
         self._reconstruction = reconstruction
         self._deformation = deformation
         self._limits = limits
+        self._kept = kept or Reconstructions(max_bytes=0, lifetime_s=0.0)
 
     def predict(self, request: DeformRequest) -> DeformResult:
         """Answer one request.
@@ -107,11 +133,19 @@ class Pipeline:
             PhysNetError: A leaf of the tree in `service.core.errors`, naming the field at fault.
         """
         watch = Stopwatch()
-        if isinstance(request.source, KnownShape):
-            body, contacts = self._place(request.source, request.loads, watch)
-        else:
-            body, contacts = self._reconstruct(request.source, request.loads, request.threshold, watch)
+        match request.source:
+            case EarlierReconstruction() as earlier:
+                body = self._kept.find(earlier.reconstruction_id)
+                contacts = _contacts_again(body, request.loads)
+            case KnownShape():
+                body, contacts = self._place(request.source, request.loads, watch)
+            case Observation():
+                body, contacts = self._reconstruct(request.source, request.loads, request.threshold, watch)
         loads = self._deform(body, contacts, request, watch)
+        if isinstance(request.source, EarlierReconstruction):
+            reconstruction_id: str | None = request.source.reconstruction_id
+        else:
+            reconstruction_id = self._kept.keep(body, body.nbytes)
         manifest = self._deformation.manifest
         return DeformResult(
             grid=body.grid,
@@ -122,6 +156,7 @@ class Pipeline:
             flags=body.flags,
             model_name=manifest.name,
             model_version=manifest.version,
+            reconstruction_id=reconstruction_id,
             timing_ms=watch.finish(),
         )
 
@@ -155,18 +190,12 @@ class Pipeline:
             probability = resample(seen, view.grid, grid)
             observed = voxelize_points(found.points, grid)
             occupancy = cover(probability > cut, observed)
-        return Body(grid, observed, probability, occupancy, found.flags), contacts
+        crop = crop_around(found.pixels, depth_m, camera)
+        return Body(grid, observed, probability, occupancy, found.flags, crop), contacts
 
     def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:
         """A known shape in its body grid, and the contacts in the camera frame."""
-        contacts = []
-        for i, load in enumerate(loads):
-            if load.contact_m is None:
-                raise InvalidRequest(
-                    "A known shape comes without an image: give the contact in metres.",
-                    field=f"loads[{i}].contact_px", expected="contact_m",
-                )  # fmt: skip
-            contacts.append(load.contact_m)
+        contacts = [_contact_in_metres(load, f"loads[{i}].contact_px") for i, load in enumerate(loads)]
         with watch.stage("decode"):
             given, given_grid = decode_shape(source)
         with watch.stage("align"):
@@ -220,6 +249,26 @@ def _contact(load: Load, depth_m: DepthImage, camera: Intrinsics, field: str) ->
     if load.contact_px is None:
         raise InvalidRequest("A load needs a contact.", field=field, expected="contact_m or contact_px")
     return pixel_to_point(*load.contact_px, depth_m, camera, field=field)
+
+
+def _contact_in_metres(load: Load, field: str) -> Vector3:
+    """The contact of a load on a body that was never seen."""
+    if load.contact_m is None:
+        raise InvalidRequest(
+            "A known shape comes without an image: give the contact in metres.", field=field, expected="contact_m"
+        )
+    return load.contact_m
+
+
+def _contacts_again(body: Body, loads: tuple[Load, ...]) -> list[Vector3]:
+    """The contacts in the camera frame, on a body that was reconstructed before."""
+    contacts = []
+    for i, load in enumerate(loads):
+        if load.contact_px is not None and body.crop is not None:
+            contacts.append(body.crop.point(*load.contact_px, f"loads[{i}].contact_px"))
+        else:
+            contacts.append(_contact_in_metres(load, f"loads[{i}].contact_px"))
+    return contacts
 
 
 def _unmoved(body: Body, question: Question) -> LoadResult:

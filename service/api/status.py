@@ -18,6 +18,7 @@ from service.core.errors import (
     Overloaded,
     PayloadTooLarge,
     PhysNetError,
+    ReconstructionGone,
     Unauthenticated,
     UnknownMaterial,
     UnknownModel,
@@ -60,6 +61,9 @@ STATUS: dict[type[PhysNetError], Status] = {
         422, "INVALID_ARGUMENT", "No material of that name; `expected` lists the nearest, /v1/materials all."
     ),
     UnknownModel: Status(404, "NOT_FOUND", "No model of that name and version; `expected` lists those there are."),
+    ReconstructionGone: Status(
+        410, "NOT_FOUND", "Nothing is kept under this `reconstruction_id` (any more): send the frame or shape again."
+    ),
     PayloadTooLarge: Status(413, "RESOURCE_EXHAUSTED", "More bytes or pixels than this service accepts."),
     Unauthenticated: Status(401, "UNAUTHENTICATED", "This service wants `Authorization: Bearer <token>`."),
     # UNAVAILABLE is the code that gRPC's own retry policies act on.

@@ -10,7 +10,8 @@
     │   ├── ContactOffBody         contact_off_body        a contact lies too far from the body's surface
     │   ├── MaterialOutOfRange     material_out_of_range   Young's modulus or Poisson's ratio is outside its range
     │   ├── UnknownMaterial        unknown_material        no material of that name; lists the nearest ones
-    │   └── UnknownModel           unknown_model           no model of that name and version; lists those there are
+    │   ├── UnknownModel           unknown_model           no model of that name and version; lists those there are
+    │   └── ReconstructionGone     reconstruction_gone     no reconstruction is kept under that id, or no longer
     ├── PayloadTooLarge            payload_too_large       more bytes or pixels than the service accepts
     ├── Unauthenticated            unauthenticated         a token is required and was not given
     ├── Overloaded                 overloaded              the queue is full; try again after `retry_after_s`
@@ -96,6 +97,10 @@ class UnknownModel(InvalidRequest):
     """`expected` lists the names, or the version, that there are."""
 
     code = "unknown_model"
+
+
+class ReconstructionGone(InvalidRequest):
+    code = "reconstruction_gone"
 
 
 class PayloadTooLarge(PhysNetError):

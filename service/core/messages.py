@@ -69,6 +69,17 @@ class KnownShape:
 
 
 @dataclass(frozen=True)
+class EarlierReconstruction:
+    """What an earlier answer reconstructed, asked again for other loads or another material.
+
+    Attributes:
+        reconstruction_id: The `reconstruction_id` of that answer.
+    """
+
+    reconstruction_id: str
+
+
+@dataclass(frozen=True)
 class Load:
     """One push: exactly one of `contact_m` (camera frame, metres) and `contact_px` (u, v) is given.
 
@@ -86,15 +97,16 @@ class Load:
 @dataclass(frozen=True)
 class DeformRequest:
     """Attributes:
-    source: A depth frame, or a shape that is known.
+    source: A depth frame, a shape that is known, or what an earlier answer reconstructed.
     material: Young's modulus and Poisson's ratio.
     loads: One or more pushes, each answered on its own.
     outputs: Any of `reconstruction`, `deformed`, `probability`, `displacement`.
-    threshold: Occupancy probability above which a voxel counts as filled; None for the models' own.
+    threshold: Occupancy probability above which a voxel counts as filled; None for the models' own. An earlier
+        reconstruction stays as it is: there it is of the deformed shapes alone.
     uncertainty_samples: Number of latent samples behind the probabilities; 0 for the mean alone.
     """
 
-    source: Observation | KnownShape
+    source: Observation | KnownShape | EarlierReconstruction
     material: Material
     loads: tuple[Load, ...]
     outputs: frozenset[str] = frozenset({"reconstruction", "deformed"})
@@ -127,7 +139,8 @@ class LoadResult:
 class DeformResult:
     """All grids share `grid`: the body grid, z up, its floor on the support plane.
 
-    `observed` is None for a known shape. `timing_ms` maps each stage of the pipeline to its wall time.
+    `observed` is None for a known shape. `reconstruction_id` asks for the same body again, None where none are kept.
+    `timing_ms` maps each stage of the pipeline to its wall time.
     """
 
     grid: Grid
@@ -138,4 +151,5 @@ class DeformResult:
     flags: frozenset[str]
     model_name: str
     model_version: str
+    reconstruction_id: str | None = None
     timing_ms: dict[str, float] = field(default_factory=dict)

@@ -1,16 +1,27 @@
 """The whole pipeline, in-process, with the shipped models, on frames and shapes whose geometry is exact."""
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from service.core.errors import ContactOffBody, EmptyObject, InvalidRequest
+from service.core.camera import project
+from service.core.errors import ContactOffBody, EmptyObject, InvalidRequest, ReconstructionGone
 from service.core.grids import pack_bits
 from service.core.materials import Material
-from service.core.messages import DeformRequest, DeformResult, EncodedImage, KnownShape, Load, Observation
+from service.core.messages import (
+    DeformRequest,
+    DeformResult,
+    EarlierReconstruction,
+    EncodedImage,
+    KnownShape,
+    Load,
+    Observation,
+)
 from service.inference.registry import Models
 from service.pipeline import Pipeline
+from service.reconstructions import Reconstructions
 from tests.poses import pose
 from tests.synthetic_scenes import CAMERA, Box, TableScene, render
 
@@ -241,3 +252,61 @@ def test_a_body_that_reaches_the_walls_of_its_grid_is_flagged(pipeline: Pipeline
     assert ("leaves_grid" in load.flags) == bool(walls)
     if force_n < 1.0:
         assert not load.flags
+
+
+# --- asked again ---
+
+
+@pytest.fixture
+def keeping(models: Models) -> Pipeline:
+    return Pipeline(models.reconstruction, models.deformation, kept=Reconstructions(16 * 2**20, 60.0))
+
+
+def same(one: DeformResult, other: DeformResult) -> None:
+    """Bit for bit, but for the time it took."""
+    for name in ("observed", "reconstruction", "reconstruction_probability"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    np.testing.assert_array_equal(one.grid.camera_from_grid, other.grid.camera_from_grid)
+    assert (one.grid.pitch_m, one.flags) == (other.grid.pitch_m, other.flags)
+    for first, second in zip(one.loads, other.loads, strict=True):
+        for name in ("deformed", "probability", "displacement_m"):
+            np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+        assert first.max_displacement_m == second.max_displacement_m
+        assert (first.load_number, first.flags) == (second.load_number, second.flags)
+
+
+def again_of(answer: DeformResult) -> EarlierReconstruction:
+    assert answer.reconstruction_id is not None
+    return EarlierReconstruction(answer.reconstruction_id)
+
+
+def test_asked_again_by_its_id_it_answers_the_same_to_contacts_in_metres_and_in_pixels(
+    keeping: Pipeline, scene: TableScene
+) -> None:
+    contact_m = front(scene).contact_m
+    assert contact_m is not None
+    pixels, _ = project(contact_m[None].astype(np.float32), CAMERA)
+    by_pixel = Load(force_n=front(scene).force_n, contact_px=(float(pixels[0, 0]), float(pixels[0, 1])))
+    asked = request(scene, front(scene), by_pixel)
+    first = keeping.predict(asked)
+    again = keeping.predict(replace(asked, source=again_of(first)))
+    same(first, again)
+    assert again.reconstruction_id == first.reconstruction_id
+    assert set(again.timing_ms) == {"deform", "total"}
+    # Other loads and another material are those of a question asked anew.
+    harder = replace(asked, loads=(front(scene, 6.0),), material=Material(2e5, 0.3))
+    same(keeping.predict(harder), keeping.predict(replace(harder, source=again_of(first))))
+
+
+def test_a_known_shape_is_asked_again_too_but_has_no_pixels(keeping: Pipeline) -> None:
+    first = keeping.predict(brick())
+    source = again_of(first)
+    same(first, keeping.predict(replace(brick(), source=source)))
+    with pytest.raises(InvalidRequest, match="without an image"):
+        keeping.predict(replace(brick(Load(np.array([0.0, 0.0, 1.0]), contact_px=(1.0, 1.0))), source=source))
+
+
+def test_where_nothing_is_kept_there_is_no_id(pipeline: Pipeline, answer: DeformResult) -> None:
+    assert answer.reconstruction_id is None
+    with pytest.raises(ReconstructionGone):
+        pipeline.predict(replace(brick(), source=EarlierReconstruction("0" * 32)))
