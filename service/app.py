@@ -103,6 +103,10 @@ async def serve(
             lifespan="off",
             server_header=False,
             timeout_keep_alive=KEEP_ALIVE_S,
+            ws="websockets-sansio",
+            ws_max_size=settings.max_body_bytes,
+            # Packing an answer takes longer than sending it over any network a slider can be followed on.
+            ws_per_message_deflate=False,
             timeout_graceful_shutdown=max(1, round(settings.shutdown_grace_s)),
         )
     )

@@ -21,6 +21,7 @@ from service.api import convert, openapi
 from service.api.body import read_body, read_multipart
 from service.api.context import RequestContext
 from service.api.handler import Handler
+from service.api.live import create_live
 from service.api.metrics import CONTENT_TYPE_LATEST
 from service.api.oip_models import Models
 from service.api.oip_rest import create_oip
@@ -64,6 +65,7 @@ def create_http(handler: Handler, settings: Settings, models: Models | None = No
     app.include_router(
         create_oip(models or Models(handler, settings.max_loads), settings, openapi.API_VERSION)
     )
+    app.include_router(create_live(handler, settings))
     app.openapi = lambda: openapi.document(app, secured=token is not None)  # type: ignore[method-assign]
     return app
 
