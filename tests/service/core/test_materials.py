@@ -13,7 +13,6 @@ from service.core.materials import (
     material,
     material_named,
     search_materials,
-    young_modulus_from_shore_a,
 )
 
 
@@ -76,6 +75,57 @@ def test_bad_poisson_ratio(poisson_ratio):
     assert caught.value.field == "material.poisson_ratio"
 
 
+@pytest.mark.parametrize(
+    ("category", "fewest"),
+    [("foam", 10), ("silicone", 20), ("rubber", 8), ("gel", 6), ("food", 12), ("tissue", 12), ("plastic", 12),
+     ("wood", 6), ("textile", 5), ("metal", 8)],
+)  # fmt: skip
+def test_there_are_materials_of_every_kind(category, fewest):
+    of_kind = [entry for entry in MATERIALS.values() if entry.category == category]
+    assert len(of_kind) >= fewest
+    assert {entry.name for entry in of_kind} <= {entry.name for entry in search_materials(category)}
+    moduli = [entry.material.young_modulus_pa for entry in of_kind]
+    assert moduli == sorted(moduli)
+
+
+def test_what_was_not_looked_up_says_so():
+    unchecked = [entry for entry in MATERIALS.values() if not entry.checked]
+    assert all(
+        entry.source.endswith("(cited from memory, not looked up)") or entry.source.startswith("estimate: ")
+        for entry in unchecked
+    )
+    # Honest, and still mostly looked up.
+    assert 0 < len(unchecked) < 0.2 * len(MATERIALS)
+    assert not any("looked up" in entry.source for entry in MATERIALS.values() if entry.checked)
+
+
+@pytest.mark.parametrize(
+    ("name", "young_modulus_pa", "rel"),
+    [
+        # Of Johnston et al. 2014: 1.32 to 2.97 MPa; of Nguyen et al. 2014: 3 × 2.01 kPa and 3 × 10.24 kPa.
+        ("pdms", 2.0e6, 0.35), ("gelatin_3_percent", 3 * 2.01e3, 0.01), ("gelatin_7_percent", 3 * 10.24e3, 0.01),
+        # Of Dawood et al. 2026 in compression; of Dowling's table 5.2.
+        ("ecoflex_00_30", 103.46e3, 0.01), ("polycarbonate", 2.4e9, 0.0), ("steel", 212e9, 0.01),
+    ],
+)  # fmt: skip
+def test_published_values(name, young_modulus_pa, rel):
+    assert material_named(name).young_modulus_pa == pytest.approx(young_modulus_pa, rel=rel)
+
+
+@pytest.mark.parametrize("name", ["Shore A 30", "shore_a_30", "SHORE 30A"])
+def test_a_hardness_is_a_name(name):
+    found = material_named(name)
+    assert found.young_modulus_pa == pytest.approx(1.14e6, rel=0.01)
+    assert (found.poisson_ratio, found.name) == (0.49, "Shore A 30")
+
+
+def test_a_hardness_that_no_relation_covers_is_refused():
+    with pytest.raises(MaterialOutOfRange) as caught:
+        material_named("shore a 98")
+    assert caught.value.field == "material.name"
+    assert caught.value.expected == "10 to 90"
+
+
 def test_search_wants_every_word():
     names = {entry.name for entry in search_materials("soft SILICONE")}
     assert "ecoflex_00_30" in names
@@ -84,7 +134,3 @@ def test_search_wants_every_word():
     assert search_materials("no such thing") == ()
 
 
-def test_shore_hardness_of_an_ordinary_rubber():
-    # Gent's own example: about 1.1 MPa at Shore A 30 and 5.5 MPa at 70.
-    assert young_modulus_from_shore_a(30.0) == pytest.approx(1.14e6, rel=0.01)
-    assert young_modulus_from_shore_a(70.0) == pytest.approx(5.52e6, rel=0.01)
