@@ -1,4 +1,8 @@
-"""The `views` set: bodies seen by a noisy depth camera, through the service's own perception."""
+"""The `views` set: bodies seen by a noisy depth camera, through the service's own perception.
+
+A draw is held to what a robot may meet, at a tenth of a second a view: the body is sampled once on a grid, from which
+its views are rendered and its truth is read.
+"""
 
 from __future__ import annotations
 
@@ -8,24 +12,36 @@ import cv2
 import numpy as np
 
 from service.core.arrays import DepthImage, Mask, Occupancy
-from service.core.camera import pixel_to_point
+from service.core.camera import Intrinsics, pixel_to_point
 from service.core.errors import EmptyObject, PhysNetError
 from service.core.grids import Grid, invert_rigid, pack_bits
 from service.core.segmentation import Segment, segment
 from service.core.voxels import VoxelView, voxelize
-from training.data.body_cube import occupancy_of
 from training.data.generate import Dropped
 from training.metrics import iou
 from training.simulation.camera import Rendering, Viewpoint, place_clutter, render, sample_viewpoint
+from training.simulation.distance_grid import DistanceGrid
 from training.simulation.families import FAMILIES, sample_shape
+from training.simulation.grid_body import filled, sampled, scaled, tipped
 from training.simulation.sensor import apply_sensor
-from training.simulation.shapes import Shape, tight_bounds
+from training.simulation.shapes import Shape
 
-HOLLOW = ("mug", "cup", "bowl", "can", "bottle", "vase", "tube", "jug")
-"""Families that are drawn twice as often: their insides and walls are what a view tells least about."""
+HOLLOW = ("mug", "cup", "bowl", "vase", "tube")
+"""Vessels one can look into: their insides and walls are what a view tells least about."""
+COMMON = ("box", "rounded_box", "cylinder", "can", "bottle", "carton", "jug", "csg", "blob", "animal")
+"""What shelves are full of, and the families that repeat themselves least."""
+DRAWN = (*FAMILIES, *HOLLOW, *HOLLOW, *COMMON)
+"""Families to draw from: a name that stands twice is drawn twice as often."""
+TIPPABLE = ("mug", "cup", "bowl", "vase", "bottle", "can", "cylinder", "jug", "carton")
+"""Families that are also met lying, or upside down."""
+CLUTTER = ("box", "cylinder", "capsule", "superquadric", "blob", "bottle", "jug")
+"""What stands about: shapes that are cheap to draw."""
 
 OCCLUDER_TRIES = 8
 """Places and sizes tried for a body that is to hide a part of the object; failing them all it stands alone."""
+THUMBNAIL = 4
+"""How many times smaller a picture tells how much an occluder hides."""
+SMALLEST_OBJECT_PX = 200
 
 
 @dataclass(frozen=True)
@@ -35,7 +51,11 @@ class ViewsConfig:
     Attributes:
         seed: Group i draws from SeedSequence((seed, i)).
         views: Viewpoints on each body.
-        thin: Share of bodies with walls as thin as real ones.
+        thin: Share of bodies with walls and members as thin as real ones.
+        thin_hollow: The same of vessels one can look into.
+        stretch: Chance that a body is stretched along its axes.
+        stretched: Range of each factor, drawn log-uniformly; heights are, and half as much the two widths.
+        tipped: Chance that a body of a family that is met so lies on its side, or else stands upside down.
         size_m: Range of the longest edge of the body's box, drawn log-uniformly.
         clutter: Share of views with another body in them.
         occluder: Share of those where it stands before the object and hides a part of it; else it is beside or behind.
@@ -47,8 +67,12 @@ class ViewsConfig:
     """
 
     seed: int = 0
-    views: int = 6
+    views: int = 4
     thin: float = 0.4
+    thin_hollow: float = 0.65
+    stretch: float = 0.5
+    stretched: tuple[float, float] = (0.7, 1.4)
+    tipped: float = 0.2
     size_m: tuple[float, float] = (0.05, 0.40)
     clutter: float = 0.25
     occluder: float = 0.5
@@ -63,47 +87,67 @@ def draw_group(config: ViewsConfig, index: int) -> dict[str, np.ndarray]:
     """One body with all its views.
 
     Returns:
-        `family`, and one row a view of `observed`, `free` and `truth` bits in the view grid, and `sample` (view
+        `family`, `thin` (whether its walls are as thin as real ones), `pose` (quarter turns: 0 upright, 1 lying,
+        2 upside down), and one row a view of `observed`, `free` and `truth` bits in the view grid, and `sample` (view
         number, longest edge in metres).
 
     Raises:
-        Dropped: No view of the body could be segmented.
+        Dropped: There was no body, or none of its views could be segmented.
     """
     rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
-    names = FAMILIES + HOLLOW
-    family = names[rng.integers(len(names))]
-    shape = _sized(sample_shape(family, rng, thin=bool(rng.random() < config.thin)), config, rng)
+    family = DRAWN[rng.integers(len(DRAWN))]
+    thin = bool(rng.random() < (config.thin_hollow if family in HOLLOW else config.thin))
+    pose = int(rng.integers(1, 3)) if family in TIPPABLE and rng.random() < config.tipped else 0
+    try:
+        body = _sized(_stretched(sample_shape(family, rng, thin), config, rng), pose, config, rng)
+    except (RuntimeError, ValueError) as error:  # none stood in as many tries as it is given, or its walls are lost
+        raise Dropped("no_shape") from error
     rows: list[tuple[VoxelView, Occupancy, float]] = []
     for number in range(config.views):
         # A generator of its own for each view: one that fails must not shift the others.
-        view = _draw_view(shape, config, np.random.default_rng(np.random.SeedSequence((config.seed, index, number))))
+        view = _draw_view(body, config, np.random.default_rng(np.random.SeedSequence((config.seed, index, number))))
         if view is not None:
             rows.append((*view, number))
     if not rows:
         raise Dropped("not_segmented")
-    size_m = float((shape.bounds[:, 1] - shape.bounds[:, 0]).max())
     return {
         "family": np.array(family),
+        "thin": np.array(thin),
+        "pose": np.array(pose, np.int8),
         "observed": np.stack([pack_bits(view.observed) for view, _, _ in rows]),
         "free": np.stack([pack_bits(view.free) for view, _, _ in rows]),
         "truth": np.stack([pack_bits(truth) for _, truth, _ in rows]),
-        "sample": np.array([[number, size_m] for _, _, number in rows], np.float32),
+        "sample": np.array([[number, _longest(body)] for _, _, number in rows], np.float32),
     }
 
 
-def _sized(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> Shape:
-    box = tight_bounds(shape)
-    longest = float((box[:, 1] - box[:, 0]).max())
-    size_m = float(np.exp(rng.uniform(*np.log(config.size_m))))
-    return shape.moved(scale=size_m / longest)
+def _stretched(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> Shape:
+    """The body taller or flatter, and a little wider or narrower."""
+    if rng.random() >= config.stretch:
+        return shape
+    low, high = np.log(config.stretched)
+    x, y, z = np.exp(rng.uniform(low, high, 3) * (0.5, 0.5, 1.0))
+    return shape.stretched((float(x), float(y), float(z)))
 
 
-def _draw_view(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> tuple[VoxelView, Occupancy] | None:
+def _sized(shape: Shape, pose: int, config: ViewsConfig, rng: np.random.Generator) -> DistanceGrid:
+    """The body sampled on a grid, in its pose and size, on z = 0 about the z axis."""
+    grid = tipped(sampled(shape), pose)
+    return scaled(grid, float(np.exp(rng.uniform(*np.log(config.size_m)))) / _longest(grid))
+
+
+def _longest(grid: DistanceGrid) -> float:
+    return float((grid.bounds[:, 1] - grid.bounds[:, 0]).max())
+
+
+def _draw_view(
+    body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator
+) -> tuple[VoxelView, Occupancy] | None:
     """What the service would make of one frame, and the truth in the same grid; None where it misses the object."""
-    viewpoint = sample_viewpoint(shape.bounds, rng)
+    viewpoint = sample_viewpoint(body.bounds, rng)
     pose = viewpoint.camera_from_world
-    rendering = _scene(shape, viewpoint, config, rng)
-    if rendering.mask.sum() < 200:
+    rendering = _scene(Shape("object", body), viewpoint, config, rng)
+    if rendering.mask.sum() < SMALLEST_OBJECT_PX:
         return None
     depth_m = apply_sensor(rendering.depth_m, rng, viewpoint.intrinsics.fx, holes_near=rendering.mask)
     try:
@@ -115,7 +159,7 @@ def _draw_view(shape: Shape, config: ViewsConfig, rng: np.random.Generator) -> t
         return None
     view = voxelize(found.points, depth_m, viewpoint.intrinsics, found.support.normal, found.support.offset_m)
     world_from_grid = invert_rigid(pose) @ view.grid.camera_from_grid
-    return view, occupancy_of(shape, Grid(view.grid.pitch_m, world_from_grid))
+    return view, filled(body, Grid(view.grid.pitch_m, world_from_grid))
 
 
 def _scene(shape: Shape, viewpoint: Viewpoint, config: ViewsConfig, rng: np.random.Generator) -> Rendering:
@@ -130,21 +174,38 @@ def _scene(shape: Shape, viewpoint: Viewpoint, config: ViewsConfig, rng: np.rand
             float(box[0, 0] - room[0, 0]), float(box[0, 1] + room[0, 1]),
             float(box[1, 0] - room[1, 0]), float(box[1, 1] + room[1, 1]),
         )  # fmt: skip
-    if rng.random() >= config.clutter:
-        return render(shape, pose, intrinsics, table_m=table_m)
-    other = _sized(sample_shape(FAMILIES[rng.integers(len(FAMILIES))], rng), config, rng)
-    if rng.random() >= config.occluder:
-        return render(shape, pose, intrinsics, clutter=[place_clutter(shape, other, pose, rng, False)], table_m=table_m)
-    alone = render(shape, pose, intrinsics, table_m=table_m)
+    clutter: list[Shape] = []
+    if rng.random() < config.clutter:
+        size_m = float(np.exp(rng.uniform(*np.log(config.size_m))))
+        other = sample_shape(CLUTTER[rng.integers(len(CLUTTER))], rng)  # about 1 wide
+        other = other.moved(float(rng.uniform(0, np.pi)), size_m)
+        if rng.random() < config.occluder:
+            clutter = _hiding(shape, other, viewpoint, config, rng)
+        else:
+            clutter = [place_clutter(shape, other, pose, rng, occlude=False)]
+    return render(shape, pose, intrinsics, clutter=clutter, table_m=table_m)
+
+
+def _hiding(
+    shape: Shape, other: Shape, viewpoint: Viewpoint, config: ViewsConfig, rng: np.random.Generator
+) -> list[Shape]:
+    """The other body where, and as large as, it hides the part of the object that is asked for; none if it cannot."""
+    pose, intrinsics = viewpoint
+    small = Intrinsics(
+        fx=intrinsics.fx / THUMBNAIL, fy=intrinsics.fy / THUMBNAIL, cx=(intrinsics.cx + 0.5) / THUMBNAIL - 0.5,
+        cy=(intrinsics.cy + 0.5) / THUMBNAIL - 0.5, width=intrinsics.width // THUMBNAIL,
+        height=intrinsics.height // THUMBNAIL,
+    )  # fmt: skip
+    alone = int(render(shape, pose, small, plane=False).mask.sum())
     for _ in range(OCCLUDER_TRIES):
-        hiding = place_clutter(shape, other, pose, rng, occlude=True)
-        rendering = render(shape, pose, intrinsics, clutter=[hiding], table_m=table_m)
-        hidden = 1.0 - float(rendering.mask.sum()) / max(int(alone.mask.sum()), 1)
+        placed = place_clutter(shape, other, pose, rng, occlude=True)
+        seen = int(render(shape, pose, small, plane=False, clutter=[placed]).mask.sum())
+        hidden = 1.0 - seen / max(alone, 1)
         if config.hidden[0] <= hidden <= config.hidden[1]:
-            return rendering
-        # A camera that looks down sees over what is small: most bodies drawn at random hide nothing.
-        other = other.moved(scale=1.5 if hidden < config.hidden[0] else 0.8)
-    return alone
+            return [placed]
+        # A camera that looks down sees over what is low: most bodies drawn at random hide nothing.
+        other = other.stretched((1.1, 1.1, 1.5)) if hidden < config.hidden[0] else other.moved(scale=0.8)
+    return []
 
 
 def _segment(
@@ -166,8 +227,10 @@ def _segment(
 
 
 def _frayed(mask: Mask, rng: np.random.Generator) -> Mask:
-    """A mask as a detector draws it: grown or shrunk by up to two pixels."""
+    """A mask as a detector draws it: grown or shrunk by up to two pixels, and off by one or two."""
     width = int(rng.integers(-2, 3))
     kernel = np.ones((2 * abs(width) + 1,) * 2, np.uint8)
     change = cv2.dilate if width > 0 else cv2.erode
-    return np.asarray(change(mask.astype(np.uint8), kernel) > 0)
+    frayed = np.pad(np.asarray(change(mask.astype(np.uint8), kernel) > 0), 2)
+    down, right = rng.integers(0, 5, 2)
+    return np.ascontiguousarray(frayed[down : down + mask.shape[0], right : right + mask.shape[1]])

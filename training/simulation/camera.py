@@ -16,6 +16,8 @@ from jaxtyping import Float32
 from service.core.arrays import DepthImage, Mask, Points, Transform
 from service.core.camera import Intrinsics
 from service.core.grids import invert_rigid
+from training.simulation.distance_grid import DistanceGrid
+from training.simulation.grid_body import trace_grid
 from training.simulation.shapes import Bounds, Shape
 from training.simulation.shapes.field import Number
 from training.simulation.trace import trace
@@ -67,7 +69,10 @@ def render(
             continue
         rows, columns = window
         behind = depth[rows, columns]
-        found = trace(body, camera_from_world, intrinsics, rows, columns, behind)
+        if isinstance(body.field, DistanceGrid):
+            found = trace_grid(body.field, camera_from_world, intrinsics, rows, columns, behind)
+        else:
+            found = trace(body, camera_from_world, intrinsics, rows, columns, behind)
         nearer = found < behind
         behind[nearer] = found[nearer]
         mask[rows, columns] = nearer if body is shape else mask[rows, columns] & ~nearer
@@ -99,7 +104,7 @@ def look_at(eye_m: Sequence[Number], target_m: Sequence[Number], roll_rad: Numbe
 def sample_viewpoint(bounds: Bounds, rng: np.random.Generator, width: int = 640, height: int = 480) -> Viewpoint:
     """A camera somewhere around a body, as a robot's would be.
 
-    Elevation 5° to 75°, mostly 15° to 60°; any azimuth; a roll of a few degrees; fx ≈ fy in 500 to 920 for a width of
+    Elevation 5° to 85°, mostly 15° to 60°; any azimuth; a roll of a few degrees; fx ≈ fy in 500 to 920 for a width of
     640; at a distance from which the body spans 60 to 260 pixels, off the image centre by chance but wholly inside
     the frame.
 
@@ -121,7 +126,7 @@ def sample_viewpoint(bounds: Bounds, rng: np.random.Generator, width: int = 640,
         height=height,
     )
     narrow = rng.random() < 0.8
-    elevation = math.radians(rng.uniform(15, 60) if narrow else rng.uniform(5, 75))
+    elevation = math.radians(rng.uniform(15, 60) if narrow else rng.uniform(5, 85))
     azimuth = rng.uniform(0, 2 * math.pi)
     toward_eye = np.array(
         [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]

@@ -107,7 +107,7 @@ def apply_sensor(
     sensor = sample_sensor(rng) if model is None else model
     theta = incidence_rad(depth_m, focal_px)
     edge = depth_edges(depth_m)
-    depth = _lateral(depth_m, theta, rng, sensor)
+    depth = _lateral(depth_m, theta, edge, rng, sensor)
     if sensor.flying_pixels > 0:
         depth = _fly(depth, edge, rng, sensor.flying_pixels)
     if sensor.noise_scale > 0:
@@ -193,29 +193,36 @@ def stereo_shadow(depth_m: DepthImage, focal_baseline: float) -> Mask:
 
 
 def _lateral(
-    depth_m: DepthImage, theta: Float32[np.ndarray, "h w"], rng: np.random.Generator, sensor: SensorModel
+    depth_m: DepthImage, theta: Float32[np.ndarray, "h w"], edge: Mask, rng: np.random.Generator, sensor: SensorModel
 ) -> DepthImage:
-    """Read each pixel a little beside itself, which frays edges."""
+    """Read each pixel a little beside itself, which frays edges.
+
+    On a smooth surface that would only add noise that the axial term holds already: it is done at edges.
+    """
     if sensor.noise_scale == 0:
         return depth_m
-    sigma = min(sensor.noise_scale, 1.0) * lateral_sigma_px(theta)
-    rows, columns = np.indices(depth_m.shape)
+    rows, columns = np.nonzero(cv2.dilate(edge.astype(np.uint8), np.ones((3, 3), np.uint8)))
+    sigma = min(sensor.noise_scale, 1.0) * lateral_sigma_px(theta[rows, columns][:, None])[:, 0]
+    jitter = np.rint(sigma * rng.standard_normal((2, len(rows)), np.float32)).astype(int)
     height, width = depth_m.shape
-    jitter = [np.rint(sigma * rng.standard_normal(depth_m.shape, np.float32)).astype(int) for _ in range(2)]
-    moved = depth_m[np.clip(rows + jitter[0], 0, height - 1), np.clip(columns + jitter[1], 0, width - 1)]
-    # On a smooth surface the jitter would only add noise that the axial term holds already: use it at edges.
-    near_edge = cv2.dilate(depth_edges(depth_m).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return np.where(near_edge, moved, depth_m)
+    moved = depth_m.copy()
+    moved[rows, columns] = depth_m[
+        np.clip(rows + jitter[0], 0, height - 1), np.clip(columns + jitter[1], 0, width - 1)
+    ]
+    return moved
 
 
 def _fly(depth_m: DepthImage, edge: Mask, rng: np.random.Generator, chance: float) -> DepthImage:
     """Put some edge pixels between the surfaces on both sides, as time-of-flight cameras and resampling do."""
-    chosen = edge & (rng.random(depth_m.shape, np.float32) < chance)
     kernel = np.ones((3, 3), np.uint8)
     near = cv2.erode(np.nan_to_num(depth_m, nan=1e3), kernel)
-    far = cv2.dilate(np.nan_to_num(depth_m, nan=0.0), kernel)
-    between = near + rng.random(depth_m.shape, np.float32) * np.maximum(far - near, 0)
-    return np.where(chosen & (near < 1e3), between, depth_m).astype(np.float32)
+    rows, columns = np.nonzero(edge)
+    chosen = (rng.random(len(rows), np.float32) < chance) & (near[rows, columns] < 1e3)
+    rows, columns = rows[chosen], columns[chosen]
+    far = cv2.dilate(np.nan_to_num(depth_m, nan=0.0), kernel)[rows, columns]
+    flown, between = depth_m.copy(), near[rows, columns]
+    flown[rows, columns] = between + rng.random(len(rows), np.float32) * np.maximum(far - between, 0)
+    return flown
 
 
 def _correlated_noise(
