@@ -1,0 +1,103 @@
+"""The displacement of single points, from the field that the reply carries on the voxels of the deformed body."""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from service.core.arrays import GRID_SIZE, Occupancy, Points
+
+Configuration: TypeAlias = Literal["rest", "deformed"]
+
+REACH_VOXELS = 2.0
+"""A point farther than this from the body's nearest voxel centre is not a point of it. Surfaces as cameras see them lie
+up to a voxel beside the reconstructed one."""
+
+STEPS = 6
+"""Of the fixed-point iteration; it halves its error or better where strains stay below a half."""
+
+_CHUNK = 256
+"""Points whose distances to all voxels are held at once: 256 × 20,000 floats are 20 MB."""
+
+_CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
+
+
+def displacement_at(
+    points_m: Points, deformed: Occupancy, field_m: np.ndarray, pitch_m: float, configuration: Configuration
+) -> Points:
+    """Displacement at points, grid frame and axes, metres; NaN where there is no body.
+
+    Args:
+        points_m: n × 3, grid frame.
+        deformed: The body after the push.
+        field_m: 3 × 64³: displacement of the material now at each voxel of `deformed`.
+        pitch_m: Edge of a voxel.
+        configuration: Whether points are places before the push (`rest`) or after it (`deformed`).
+
+    A place x of the deformed body is that of the material point X = x − u(x). For a point of the rest body this is
+    solved for x by fixed-point iteration, x ← X + u(x), from the voxel whose material was nearest.
+    """
+    voxels = np.argwhere(deformed)
+    if len(voxels) == 0 or len(points_m) == 0:
+        return np.full((len(points_m), 3), np.nan, np.float32)
+    places = (voxels + 0.5).astype(np.float32)
+    moved = (field_m[:, deformed].T.astype(np.float32)) / np.float32(pitch_m)
+    points = np.asarray(points_m, np.float32) / np.float32(pitch_m)
+    nearest, distance = _nearest(points, places - moved if configuration == "rest" else places)
+    if configuration == "deformed":
+        found = _interpolated(points, deformed, field_m, pitch_m, moved[nearest])
+    else:
+        found = _solved(points, deformed, field_m, pitch_m, moved[nearest])
+    found[distance > REACH_VOXELS] = np.nan
+    return np.asarray(found * np.float32(pitch_m), np.float32)
+
+
+def _solved(
+    points: np.ndarray, deformed: np.ndarray, field_m: np.ndarray, pitch_m: float, start: np.ndarray
+) -> np.ndarray:
+    """Voxels; of all iterates the one that misses its point least, in case they run away where strains are large."""
+    best, best_miss = start, np.full(len(points), np.inf, np.float32)
+    moved = start
+    for _ in range(STEPS):
+        after = _interpolated(points + moved, deformed, field_m, pitch_m, start)
+        miss = np.linalg.norm(after - moved, axis=1)
+        better = miss < best_miss
+        best = np.where(better[:, None], after, best)
+        best_miss = np.where(better, miss, best_miss)
+        moved = after
+    return best
+
+
+def _interpolated(
+    places: np.ndarray, deformed: np.ndarray, field_m: np.ndarray, pitch_m: float, otherwise: np.ndarray
+) -> np.ndarray:
+    """Trilinear over those of the eight voxels around that belong to the body; `otherwise` where none does. Voxels."""
+    # An iterate may run far off; it is cut to the neighbourhood of the grid, where no voxel belongs to the body.
+    position = np.clip(places - 0.5, -2.0, GRID_SIZE + 1.0)
+    low = np.floor(position).astype(np.int64)
+    share = position - low
+    total = np.zeros((len(places), 3), np.float32)
+    weights = np.zeros(len(places), np.float32)
+    for corner in _CORNERS:
+        voxel = low + corner
+        inside = ((voxel >= 0) & (voxel < GRID_SIZE)).all(axis=1)
+        x, y, z = np.where(inside[:, None], voxel, 0).T
+        weight = np.prod(np.where(corner == 1, share, 1.0 - share), axis=1) * (inside & deformed[x, y, z])
+        total += weight[:, None] * field_m[:, x, y, z].T
+        weights += weight
+    some = weights > 1e-6
+    mean = total / (np.where(some, weights, 1.0) * pitch_m)[:, None]
+    return np.where(some[:, None], mean, otherwise).astype(np.float32)
+
+
+def _nearest(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of, and distance to, the nearest place of each point."""
+    index = np.empty(len(points), np.int64)
+    distance = np.empty(len(points), np.float32)
+    squares = (places**2).sum(axis=1)
+    for start in range(0, len(points), _CHUNK):
+        some = points[start : start + _CHUNK]
+        index[start : start + _CHUNK] = (squares - 2.0 * some @ places.T).argmin(axis=1)
+    distance[:] = np.linalg.norm(points - places[index], axis=1)
+    return index, distance
