@@ -1,0 +1,1 @@
+"""The commands of `physnet`, one module each: `add_<command>` registers its options, `run` does it."""

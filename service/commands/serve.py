@@ -1,0 +1,28 @@
+"""`physnet serve`: answer requests until told to stop."""
+
+from __future__ import annotations
+
+import argparse
+
+from service.commands.exits import EPILOG
+from service.commands.options import models_options, settings_of
+
+
+def add_serve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Register the command."""
+    parser = commands.add_parser(
+        "serve", parents=[models_options()], help="answer requests over HTTP and gRPC", epilog=EPILOG,
+        description="Serve until SIGTERM. Prints one line on stdout once it answers, `ready http=HOST:PORT "
+        "grpc=HOST:PORT`; logs go to stderr. Every setting is also an environment variable: PHYSNET_HOST, …",
+    )  # fmt: skip
+    parser.add_argument("--host", help="address to listen on (PHYSNET_HOST)")
+    parser.add_argument("--http-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_HTTP_PORT)")
+    parser.add_argument("--grpc-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_GRPC_PORT)")
+    parser.add_argument("--log-level", choices=["debug", "info", "warning", "error"], help="(PHYSNET_LOG_LEVEL)")
+    parser.set_defaults(run=_run)
+
+
+def _run(given: argparse.Namespace) -> int:
+    from service.app import run
+
+    return run(settings_of(given, "host", "http_port", "grpc_port", "log_level"))

@@ -1,0 +1,70 @@
+"""What reaches a person: colours only where they are wanted, tables that fit, a sign of life on a terminal."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import pytest
+
+from service.commands.terminal import Terminal, pascals, wants_colour
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    ("environment", "stream", "wanted"),
+    [
+        ({}, Screen(), True), ({}, io.StringIO(), False), ({"NO_COLOR": "1"}, Screen(), False),
+        ({"NO_COLOR": ""}, Screen(), True), ({"TERM": "dumb"}, Screen(), False),
+        ({"FORCE_COLOR": "1"}, io.StringIO(), True), ({"FORCE_COLOR": "1", "NO_COLOR": "1"}, Screen(), False),
+    ],
+)  # fmt: skip
+def test_colours_are_for_terminals_that_want_them(environment, stream, wanted):
+    assert wants_colour(stream, environment) is wanted
+
+
+def test_no_color_is_stronger_than_a_terminal(monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    assert Terminal(True, Screen()).paint("x", "red") == "\x1b[31mx\x1b[0m"
+    assert Terminal(False, Screen()).paint("x", "red") == "x"
+
+
+def test_tables_are_cut_at_the_edge_of_a_terminal_and_nowhere_else(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "20")
+    rows = [("ab", "1", "a long description"), ("c", "22", "another one")]
+    screen, pipe = Screen(), io.StringIO()
+    Terminal(False, screen).table(rows, right=(1,))
+    assert screen.getvalue().splitlines() == ["ab   1  a long desc…", "c   22  another one"]
+    Terminal(False, pipe).table(rows, right=(1,))
+    assert pipe.getvalue().splitlines()[0].endswith("a long description")
+
+
+def test_what_takes_long_shows_that_it_lives():
+    screen = Screen()
+    with Terminal(False, io.StringIO(), screen).working("opening the models"):
+        time.sleep(0.6)
+    assert "opening the models" in screen.getvalue()
+    # And leaves nothing behind.
+    assert screen.getvalue().endswith("\r\x1b[K")
+
+
+def test_what_is_quick_or_piped_shows_nothing():
+    screen, pipe = Screen(), io.StringIO()
+    with Terminal(False, io.StringIO(), screen).working("x"):
+        pass
+    with Terminal(False, io.StringIO(), pipe).working("x"):
+        time.sleep(0.5)
+    assert screen.getvalue() == pipe.getvalue() == ""
+
+
+@pytest.mark.parametrize(
+    ("e_pa", "text"),
+    [(5.6e4, "56 kPa"), (1.142e6, "1.14 MPa"), (2.1e11, "210 GPa"), (999.9e3, "1 MPa"), (12.0, "12 Pa")],
+)
+def test_moduli_are_read_in_three_digits(e_pa, text):
+    assert pascals(e_pa) == text
