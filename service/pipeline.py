@@ -6,14 +6,16 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from jaxtyping import Float64
 
 from service.core.alignment import body_grid, body_grid_free, resample
 from service.core.arrays import DepthImage, Occupancy, Probability, Vector3
 from service.core.camera import Intrinsics, pixel_to_point
 from service.core.condition import POISSON_RATIO_MAX, Condition, encode_condition, load_number
-from service.core.contact import snap_contact
+from service.core.contact import snap_contact, surface_centres
 from service.core.depth import decode_depth, decode_mask
 from service.core.depth_crop import DepthCrop, crop_around
 from service.core.errors import InvalidRequest
@@ -63,6 +65,11 @@ class Body:
     occupancy: Occupancy
     flags: frozenset[str]
     crop: DepthCrop | None = None
+
+    @cached_property
+    def surface_m(self) -> Float64[np.ndarray, "axis=3 n"]:
+        """Where a load may touch it, see `surface_centres`."""
+        return surface_centres(self.occupancy, self.grid)
 
     @property
     def nbytes(self) -> int:
@@ -227,7 +234,7 @@ class Pipeline:
 
     def _question(self, body: Body, load: Load, contact_m: Vector3, material: Material, field: str) -> Question:
         """Where the load meets the body, and the condition in its grid."""
-        contact_m, snapped = snap_contact(contact_m, body.occupancy, body.grid, f"{field}.contact_m")
+        contact_m, snapped = snap_contact(contact_m, body.surface_m, body.grid, f"{field}.contact_m")
         flags = {"contact_snapped"} if snapped else set()
         if material.poisson_ratio > POISSON_RATIO_MAX:
             flags.add("poisson_ratio_clamped")

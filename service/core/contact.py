@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from service.core.arrays import Occupancy, Vector3
+import cv2
+import numpy as np
+from jaxtyping import Float64
+
+from service.core.arrays import GRID_SIZE, Occupancy, Vector3
 from service.core.errors import ContactOffBody
-from service.core.grids import Grid, invert_rigid
+from service.core.grids import Grid, filled_voxels, invert_rigid
 
 SNAP_VOXELS = 1.5
 """A contact this near to a surface voxel's centre lies on it (√3/2 voxels) or as near as a sensor can tell."""
@@ -15,12 +19,14 @@ OFF_BODY = 0.15
 """Contacts farther than this from the surface, in edges of the grid, belong to something else."""
 
 
-def snap_contact(contact_m: Vector3, occupancy: Occupancy, grid: Grid, field: str) -> tuple[Vector3, bool]:
+def snap_contact(
+    contact_m: Vector3, surface_m: Float64[np.ndarray, "axis=3 n"], grid: Grid, field: str
+) -> tuple[Vector3, bool]:
     """The contact, moved to the nearest surface voxel where it is off the surface.
 
     Args:
         contact_m: Contact in the camera frame, metres.
-        occupancy: The body; at least one voxel.
+        surface_m: The body's surface, see `surface_centres`; at least one voxel.
         grid: Where its voxels are.
         field: Path of the contact in the request, for the error.
 
@@ -32,10 +38,9 @@ def snap_contact(contact_m: Vector3, occupancy: Occupancy, grid: Grid, field: st
     """
     grid_from_camera = invert_rigid(grid.camera_from_grid)
     local = grid_from_camera[:3, :3] @ contact_m + grid_from_camera[:3, 3]
-    centres = (np.argwhere(surface_voxels(occupancy)) + 0.5) * grid.pitch_m
-    distances = np.linalg.norm(centres - local, axis=1)
-    nearest = int(np.argmin(distances))
-    distance_m = float(distances[nearest])
+    squared = np.square(surface_m - local[:, None]).sum(axis=0)
+    nearest = int(np.argmin(squared))
+    distance_m = math.sqrt(squared[nearest])
     if distance_m > OFF_BODY * grid.edge_m:
         raise ContactOffBody(
             f"The contact is {distance_m * 1e3:.0f} mm away from the body.",
@@ -43,18 +48,25 @@ def snap_contact(contact_m: Vector3, occupancy: Occupancy, grid: Grid, field: st
         )  # fmt: skip
     if distance_m <= SNAP_VOXELS * grid.pitch_m:
         return contact_m, False
-    snapped_m: Vector3 = grid.camera_from_grid[:3, :3] @ centres[nearest] + grid.camera_from_grid[:3, 3]
+    snapped_m: Vector3 = grid.camera_from_grid[:3, :3] @ surface_m[:, nearest] + grid.camera_from_grid[:3, 3]
     return snapped_m, True
+
+
+def surface_centres(occupancy: Occupancy, grid: Grid) -> Float64[np.ndarray, "axis=3 n"]:
+    """Centres of the surface voxels in the grid's own frame, metres: found once for all contacts with a body."""
+    return (filled_voxels(surface_voxels(occupancy)) + 0.5) * grid.pitch_m
 
 
 def surface_voxels(occupancy: Occupancy) -> Occupancy:
     """Filled voxels with an empty one among their six neighbours; what leaves the grid counts as empty."""
-    padded = np.pad(occupancy, 1)
-    inner = occupancy.copy()
-    for axis in range(3):
-        for start in (0, 2):
-            window = [slice(1, -1)] * 3
-            window[axis] = slice(start, start + occupancy.shape[axis])
-            inner &= padded[tuple(window)]
+    columns = occupancy.view(np.uint8).reshape(-1, GRID_SIZE)
+    # Along z OpenCV's erosion is quicker than NumPy's loop over short rows; it takes what leaves the grid as filled.
+    inner = cv2.erode(columns, np.ones((1, 3), np.uint8)).view(np.bool_).reshape(occupancy.shape)
+    inner[:, :, [0, -1]] = False
+    for axis in (0, 1):
+        before = (slice(None),) * axis
+        inner[(*before, slice(None, -1))] &= occupancy[(*before, slice(1, None))]
+        inner[(*before, slice(1, None))] &= occupancy[(*before, slice(None, -1))]
+        inner[(*before, [0, -1])] = False
     surface: Occupancy = occupancy & ~inner
     return surface

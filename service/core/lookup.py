@@ -2,36 +2,67 @@
 
 from __future__ import annotations
 
+import math
+from typing import TypeAlias
+
 import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
 
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
-from service.core.grids import Coordinate
 
-PADDED = GRID_SIZE + 2
-"""One voxel of zeros on every side stands for everything outside the grid."""
+Places: TypeAlias = Float32[np.ndarray, "a b c"]
+"""One coordinate of each place, in voxels: the centre of voxel i lies at i."""
+
+Range: TypeAlias = tuple[int, int]
+"""First voxel along an axis, and the one after the last."""
 
 
-def trilinear(field: Probability, x: Coordinate, y: Coordinate, z: Coordinate) -> Probability:
-    """Values of a field between its voxel centres; it falls to zero over one voxel outside the grid.
+def trilinear(field: Float32[np.ndarray, "x y z"], x: Places, y: Places, z: Places) -> Float32[np.ndarray, "a b c"]:
+    """Values of a field between its voxel centres; it falls to zero over one voxel outside the field.
 
-    Places are in voxels: the centre of voxel i lies at i.
-
-    The grid is laid out as one tall image, slices of constant x below each other, in which OpenCV looks up the two
+    The field is laid out as one tall image, slices of constant x below each other, in which OpenCV looks up the two
     slices on either side, bilinear in y and z and with all cores; the third interpolation is between the two. Weights
     are exact to 1/32 voxel, as OpenCV's are, in y and z.
     """
-    atlas = np.pad(field, 1).reshape(PADDED * PADDED, PADDED)
-    x, y, z = (np.clip(axis + np.float32(1), 0, np.float32(PADDED - 1)) for axis in (x, y, z))
-    slice_below = np.minimum(np.floor(x), np.float32(PADDED - 2))
-    row = (slice_below * np.float32(PADDED) + y).reshape(GRID_SIZE**2, GRID_SIZE)
-    column = z.reshape(GRID_SIZE**2, GRID_SIZE)
-    below = cv2.remap(atlas, column, row, cv2.INTER_LINEAR)
-    above = cv2.remap(atlas, column, row + np.float32(PADDED), cv2.INTER_LINEAR)
-    weight = (x - slice_below).reshape(GRID_SIZE**2, GRID_SIZE)
-    result: Probability = (below + weight * (above - below)).reshape((GRID_SIZE,) * 3)
-    return result
+    slices, rows, columns = (size + 2 for size in field.shape)
+    # One voxel of zeros on every side stands for everything outside the field.
+    atlas = np.zeros((slices, rows, columns), np.float32)
+    atlas[1:-1, 1:-1, 1:-1] = field
+    atlas = atlas.reshape(slices * rows, columns)
+    weight = _clipped(x, slices)
+    below = np.minimum(np.floor(weight), np.float32(slices - 2))
+    weight -= below
+    below *= np.float32(rows)
+    below += _clipped(y, rows)
+    row, column = (places.reshape(-1, places.shape[2]) for places in (below, _clipped(z, columns)))
+    lower = cv2.remap(atlas, column, row, cv2.INTER_LINEAR)
+    row += np.float32(rows)
+    values = cv2.remap(atlas, column, row, cv2.INTER_LINEAR)
+    values -= lower
+    values *= weight.reshape(row.shape)
+    values += lower
+    return np.asarray(values.reshape(x.shape), np.float32)
+
+
+def stacked(
+    field: Probability, x: Float32[np.ndarray, "a b"], y: Float32[np.ndarray, "a b"], z: Float64[np.ndarray, " c"]
+) -> Float32[np.ndarray, "a b c"]:
+    """`trilinear` at places that stand in columns, z at each (x, y), eight times as fast.
+
+    Interpolation along z is a product with a matrix of two weights a column; what remains is bilinear in x and y, in
+    which OpenCV takes a column of the field for a pixel of 64 channels. Weights are exact to 1/32 voxel in x and y.
+    """
+    below = np.floor(z)
+    above = z - below
+    weights = np.zeros((GRID_SIZE, len(z)), np.float32)
+    for slice_of_z, weight in ((below, 1.0 - above), (below + 1.0, above)):
+        inside = np.flatnonzero((slice_of_z >= 0.0) & (slice_of_z < GRID_SIZE))
+        weights[slice_of_z[inside].astype(np.intp), inside] = weight[inside]
+    columns = (field.reshape(-1, GRID_SIZE) @ weights).reshape(GRID_SIZE, GRID_SIZE, len(z))
+    # To OpenCV the first index of an image is y.
+    found = cv2.remap(columns, y, x, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return np.asarray(found, np.float32).reshape(*x.shape, len(z))
 
 
 def warp(rest: Occupancy, displacement: Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]) -> Probability:
@@ -44,11 +75,44 @@ def warp(rest: Occupancy, displacement: Float32[np.ndarray, "axis=3 x=64 y=64 z=
     Returns:
         1 inside, 0 outside, in between within half a voxel of the surface.
     """
-    steps = np.arange(GRID_SIZE, dtype=np.float32)
-    source = displacement * np.float32(-GRID_SIZE)
-    return trilinear(
-        rest.astype(np.float32),
-        source[0] + steps[:, None, None],
-        source[1] + steps[:, None],
-        source[2] + steps,
-    )
+    probability = np.zeros((GRID_SIZE,) * 3, np.float32)
+    if not rest.any():
+        return probability
+    body = _box(rest)
+    # What is at y comes from the body only if y is one of its voxels, moved by some u there is.
+    reached = tuple(_reached(*ends, displacement[axis]) for axis, ends in enumerate(body))
+    inside = tuple(slice(*ends) for ends in reached)
+    x, y, z = (_sources(displacement[axis][inside], axis, reached[axis][0], body[axis][0]) for axis in range(3))
+    probability[inside] = trilinear(rest[tuple(slice(*ends) for ends in body)].astype(np.float32), x, y, z)
+    return probability
+
+
+def _clipped(places: Places, size: int) -> Places:
+    """Places in the field with its border, which is of this size; what is farther out is at the border."""
+    moved = places + np.float32(1)
+    return np.clip(moved, 0, np.float32(size - 1), out=moved)
+
+
+def _sources(displacement: Places, axis: int, first: int, corner: int) -> Places:
+    """One coordinate of y - u(y) in voxels from the body's corner, for a box of voxels that begins at `first`."""
+    sources = displacement * np.float32(-GRID_SIZE)
+    steps = np.arange(first - corner, first - corner + sources.shape[axis], dtype=np.float32)
+    sources += steps.reshape([-1 if other == axis else 1 for other in range(3)])
+    return sources
+
+
+def _reached(first: int, end: int, displacement: Places) -> Range:
+    """Where along an axis voxels of the body may get to."""
+    low, high = (GRID_SIZE * float(bound) for bound in (displacement.min(), displacement.max()))
+    if not math.isfinite(high - low):
+        return 0, GRID_SIZE
+    # The field reaches one voxel beyond the body's outermost centres.
+    low, high = first + low - 1.0, end + high + 1.0
+    return math.floor(min(max(low, 0.0), GRID_SIZE - 1.0)), math.ceil(min(max(high, 1.0), float(GRID_SIZE)))
+
+
+def _box(occupancy: Occupancy) -> tuple[Range, Range, Range]:
+    """The voxels between the outermost filled ones."""
+    rows, columns = occupancy.any(axis=0), occupancy.any(axis=(1, 2))
+    x, y, z = (np.flatnonzero(shown) for shown in (columns, rows.any(axis=1), rows.any(axis=0)))
+    return (int(x[0]), int(x[-1]) + 1), (int(y[0]), int(y[-1]) + 1), (int(z[0]), int(z[-1]) + 1)

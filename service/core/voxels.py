@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float32, Float64
 
 from service.core.arrays import GRID_SIZE, DepthImage, Occupancy, Points, Transform, Vector3
 from service.core.camera import Intrinsics, project
-from service.core.grids import Grid, centres_seen_from, transform_points
+from service.core.grids import Grid, centres_seen_from
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -24,6 +25,12 @@ OUTLIER_PERCENTILE = 0.5
 FREE_MARGIN_VOXELS = 1.0
 """A voxel is free only if the ray passes its centre by this much before it hits: the centre of a voxel that holds a
 surface point lies at most √3/2 voxels before it."""
+
+SLAB = 512
+"""Columns of voxels carved at once: what is computed for them stays in the processor's cache."""
+
+LONGEST_REMAP = 2**15 - 1
+"""OpenCV looks pixels up in images shorter and narrower than this."""
 
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
@@ -68,8 +75,8 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
         support_offset_m: The support plane is where `up · p + support_offset_m = 0`.
     """
     camera_from_view = view_axes(up)
-    local = points @ camera_from_view[:3, :3].astype(np.float32)
-    low, high = np.percentile(local, [OUTLIER_PERCENTILE, 100.0 - OUTLIER_PERCENTILE], axis=0)
+    local = np.sort(camera_from_view[:3, :3].T.astype(np.float32) @ points.T, axis=1)
+    low, high = (_percentile(local, percentile) for percentile in (OUTLIER_PERCENTILE, 100.0 - OUTLIER_PERCENTILE))
     low[2] = -support_offset_m
     edge_m = EDGE_OVER_EXTENT * max(float((high - low).max()), 1e-3)
     corner = np.array([low[0] - FRONT_MARGIN * edge_m, (low[1] + high[1] - edge_m) / 2, low[2]])
@@ -79,31 +86,63 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
 
 def voxelize_points(points: Points, grid: Grid) -> Occupancy:
     """Mark the voxels that hold at least one of the points (camera frame, metres); points outside are left out."""
-    index = np.floor(transform_points(grid.grid_from_camera, points) / np.float32(grid.pitch_m)).astype(np.int32)
-    index = index[((index >= 0) & (index < GRID_SIZE)).all(axis=1)]
-    occupied = np.zeros((GRID_SIZE,) * 3, bool)
-    occupied[index[:, 0], index[:, 1], index[:, 2]] = True
-    return occupied
+    grid_from_camera = grid.grid_from_camera
+    local = grid_from_camera[:3, :3].astype(np.float32) @ points.T
+    local += grid_from_camera[:3, 3:].astype(np.float32)
+    local /= np.float32(grid.pitch_m)
+    index = np.floor(local, out=local).astype(np.int32)
+    # As unsigned, what lies below zero is far above the grid.
+    inside = (index.view(np.uint32) < GRID_SIZE).all(axis=0)
+    voxel = (index[0] * GRID_SIZE + index[1]) * GRID_SIZE + index[2]
+    occupied = np.zeros(GRID_SIZE**3, bool)
+    occupied[voxel[inside]] = True
+    return occupied.reshape((GRID_SIZE,) * 3)
 
 
 def carve_free(depth_m: DepthImage, intrinsics: Intrinsics, grid: Grid) -> Occupancy:
     """Mark the voxels that some ray crossed before it hit: the reading at the centre's pixel lies behind the voxel."""
-    x, y, z = centres_seen_from(grid.camera_from_grid[:3, :3], grid.pitch_m, grid.camera_from_grid[:3, 3])
-    if intrinsics.distortion is None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            column = x / z * np.float32(intrinsics.fx) + np.float32(intrinsics.cx)
-            row = y / z * np.float32(intrinsics.fy) + np.float32(intrinsics.cy)
-    else:
+    if intrinsics.distortion is not None:
+        centres = centres_seen_from(grid.camera_from_grid[:3, :3], grid.pitch_m, grid.camera_from_grid[:3, 3])
+        x, y, z = (axis.reshape(-1, GRID_SIZE) for axis in centres)
         pixels, _ = project(np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1), intrinsics)
-        column, row = pixels[:, 0].reshape(x.shape), pixels[:, 1].reshape(x.shape)
-    inside = (z > 0) & (column > -0.5) & (column < intrinsics.width - 0.5)
-    inside &= (row > -0.5) & (row < intrinsics.height - 0.5)
-    column = np.where(inside, column + np.float32(0.5), 0).astype(np.int32)
-    row = np.where(inside, row + np.float32(0.5), 0).astype(np.int32)
-    reading = depth_m.ravel()[row * np.int32(intrinsics.width) + column]
+        column, row = pixels.T.astype(np.float32).reshape(2, *x.shape)
+        return _hits_behind(depth_m, column, row, z, grid.pitch_m).reshape((GRID_SIZE,) * 3)
+    # u z, v z and z are linear in the three indices of a voxel: a share for each (i, j) and one for each k.
+    along = intrinsics.matrix @ grid.camera_from_grid[:3, :3] * grid.pitch_m
+    first = intrinsics.matrix @ grid.camera_from_grid[:3, 3] + along.sum(axis=1) / 2
+    steps = np.arange(GRID_SIZE)
+    of_column = first[:, None, None] + along[:, 0, None, None] * steps[:, None] + along[:, 1, None, None] * steps
+    of_column = of_column.astype(np.float32).reshape(3, -1, 1)
+    of_step = (along[:, 2:] * steps).astype(np.float32)[:, None]
+    free = np.empty((GRID_SIZE**2, GRID_SIZE), bool)
+    for start in range(0, GRID_SIZE**2, SLAB):
+        slab = slice(start, start + SLAB)
+        column, row, z = of_column[:, slab] + of_step
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column /= z
+            row /= z
+        free[slab] = _hits_behind(depth_m, column, row, z, grid.pitch_m)
+    return free.reshape((GRID_SIZE,) * 3)
+
+
+def _hits_behind(
+    depth_m: DepthImage,
+    column: Float32[np.ndarray, "rows columns"],
+    row: Float32[np.ndarray, "rows columns"],
+    z: Float32[np.ndarray, "rows columns"],
+    pitch_m: float,
+) -> Bool[np.ndarray, "rows columns"]:
+    """Whether the reading at each pixel lies behind a voxel whose centre is seen there at depth z."""
+    if max(depth_m.shape) < LONGEST_REMAP:
+        reading = cv2.remap(depth_m, column, row, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, float("nan"))
+    else:
+        inside = (column > -0.5) & (column < depth_m.shape[1] - 0.5) & (row > -0.5) & (row < depth_m.shape[0] - 0.5)
+        pixel = tuple(np.rint(np.where(inside, place, 0.0)).astype(np.intp) for place in (row, column))
+        reading = np.where(inside, depth_m[pixel], np.float32(np.nan))
     # NaN compares false: where the sensor gave nothing, nothing is known.
-    free: Occupancy = inside & (reading > z + np.float32(FREE_MARGIN_VOXELS * grid.pitch_m))
-    return free
+    behind = reading > z + np.float32(FREE_MARGIN_VOXELS * pitch_m)
+    # What is behind the camera appears in the image, too, upside down.
+    return np.asarray(behind & (z > 0.0), np.bool_)
 
 
 def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
@@ -113,11 +152,17 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     filling all of them would fatten it by half a voxel. Farther than one voxel off the body, a measured point shows
     something that the body lacks.
     """
-    near = np.pad(occupancy, 1)
-    for axis in range(3):
-        # One axis after the other makes the 3³ neighbourhood of three short ones.
-        first, middle, last = (_slice_along(near, axis, start) for start in range(3))
-        near = first | middle | last
+    # One axis after the other makes the 3³ neighbourhood of three short ones; z is OpenCV's, since NumPy's loop over
+    # short rows takes longer than all the rest.
+    columns = occupancy.view(np.uint8).reshape(-1, GRID_SIZE)
+    near = cv2.dilate(columns, np.ones((1, 3), np.uint8)).view(np.bool_).reshape(occupancy.shape)
+    for axis in (1, 0):
+        before = (slice(None),) * axis
+        lower, upper = (*before, slice(None, -1)), (*before, slice(1, None))
+        wider = near.copy()
+        wider[lower] |= near[upper]
+        wider[upper] |= near[lower]
+        near = wider
     covered: Occupancy = occupancy | (observed & ~near)
     return covered
 
@@ -132,8 +177,10 @@ def voxelize(
     return VoxelView(grid=grid, observed=observed, free=free)
 
 
-def _slice_along(padded: Bool[np.ndarray, "x y z"], axis: int, start: int) -> Bool[np.ndarray, "_ _ _"]:
-    """The part of one axis that begins at `start` and is as long as the grid."""
-    window = [slice(None)] * 3
-    window[axis] = slice(start, start + GRID_SIZE)
-    return padded[tuple(window)]
+def _percentile(ascending: Float32[np.ndarray, "axis=3 n"], percentile: float) -> Float64[np.ndarray, "axis=3"]:
+    """As `np.percentile` of each row, which is not told that they are sorted."""
+    place = percentile / 100.0 * (ascending.shape[1] - 1)
+    below = int(place)
+    above = min(below + 1, ascending.shape[1] - 1)
+    share = place - below
+    return (1.0 - share) * ascending[:, below].astype(np.float64) + share * ascending[:, above]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.core.lookup import trilinear, warp
+from service.core.lookup import stacked, trilinear, warp
 
 PLACES = np.random.default_rng(1).uniform(0.0, 63.0, (3, 64, 64, 64)).astype(np.float32)
 
@@ -27,6 +27,35 @@ def test_the_field_falls_to_zero_over_one_voxel_outside(axis: int, place: float,
     places = np.full((3, 64, 64, 64), 20.0, np.float32)
     places[axis] = place
     np.testing.assert_allclose(trilinear(np.ones((64, 64, 64), np.float32), *places), value, atol=1e-6)
+
+
+def test_places_in_columns_are_looked_up_as_any_others() -> None:
+    """What rounding of the weights leaves is 1/64 of the slope along each axis."""
+    field = np.random.default_rng(4).random((64, 64, 64), np.float32)
+    x, y = np.random.default_rng(5).uniform(-2.0, 65.0, (2, 64, 64)).astype(np.float32)
+    z = np.linspace(-1.7, 64.9, 64)
+    places = np.broadcast_arrays(x[:, :, None], y[:, :, None], z.astype(np.float32))
+    np.testing.assert_allclose(stacked(field, x, y, z), trilinear(field, *places), atol=3 / 64)
+    whole = np.indices((64, 64)).astype(np.float32)
+    np.testing.assert_allclose(stacked(field, *whole, np.arange(64.0)), field, atol=1e-6)
+    linear = np.broadcast_to(np.arange(64, dtype=np.float32), (64, 64, 64)).copy()
+    np.testing.assert_allclose(stacked(linear, *whole, np.arange(63) + 0.3)[5, 7], np.arange(63) + 0.3, atol=1e-5)
+
+
+def test_warping_a_part_of_the_grid_is_warping_all_of_it() -> None:
+    """The body's box and how far the field moves it bound what is looked up; the answer knows nothing of it."""
+    rest = np.zeros((64, 64, 64), bool)
+    rest[20:30, 25:40, 10:35] = np.random.default_rng(0).random((10, 15, 25)) < 0.7
+    coarse = np.random.default_rng(1).normal(0.0, 0.03, (3, 4, 4, 4)).astype(np.float32)
+    displacement = np.ascontiguousarray(coarse.repeat(16, 1).repeat(16, 2).repeat(16, 3))
+    indices = np.indices((64, 64, 64)).astype(np.float32)
+    expected = trilinear(rest.astype(np.float32), *(indices - 64 * displacement))
+    np.testing.assert_allclose(warp(rest, displacement), expected, atol=1 / 16)
+    assert (expected > 0).sum() > 2000
+    assert not warp(np.zeros_like(rest), displacement).any()
+    away = np.zeros_like(displacement)
+    away[0] = 2.0
+    assert not warp(rest, away).any()
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
