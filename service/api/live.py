@@ -209,10 +209,8 @@ class _Connection:
         if with_body and asked.body_version == self._body_version:
             self._reconstruction_id = result.reconstruction_id
         found = {manifest.kind: manifest.threshold for manifest in self._handler.manifests}
-        thresholds = {
-            kind: question.threshold or found.get(kind, 0.5) for kind in ("reconstruction", "deformation")
-        }
-        parts = answer_parts(result, with_body, thresholds)
+        threshold = question.threshold or found.get("reconstruction", 0.5)
+        parts = answer_parts(result, with_body, threshold)
         load = result.loads[0]
         timing_ms = {"parse": 1e3 * (parsed - asked.arrived), "queue": 1e3 * answered.queued_s}
         timing_ms |= {stage: ms for stage, ms in result.timing_ms.items() if stage != "total"}
@@ -226,7 +224,7 @@ class _Connection:
                 "voxel_size_m": result.grid.pitch_m,
                 "camera_from_grid": result.grid.camera_from_grid.tolist(),
             },
-            "thresholds": thresholds,
+            "threshold": threshold,
             "max_displacement_m": load.max_displacement_m,
             "mean_displacement_m": load.mean_displacement_m,
             "load_number": load.load_number,

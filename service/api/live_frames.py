@@ -121,24 +121,22 @@ class Part:
     scale: float = 1.0
 
 
-def answer_parts(result: DeformResult, with_body: bool, thresholds: Mapping[str, float]) -> dict[str, Part]:
-    """What the client draws: the first load's shape and displacement, and the body where it has not got it yet.
+def answer_parts(result: DeformResult, with_body: bool, threshold: float) -> dict[str, Part]:
+    """What the client draws: the first load's displacement, and the body where it has not got it yet.
+
+    The deformed shape is not among them: it is the body carried along, which the client does as finely as it draws.
 
     Args:
         result: The answer.
         with_body: Whether the body goes along.
-        thresholds: Of `reconstruction` and `deformation`, above which a voxel counts as filled.
+        threshold: Of the reconstruction, above which a voxel counts as filled.
     """
     parts: dict[str, Part] = {}
     if with_body:
-        parts["rest"] = _field(
-            result.reconstruction_probability, result.reconstruction, thresholds["reconstruction"]
-        )
+        parts["rest"] = _field(result.reconstruction_probability, result.reconstruction, threshold)
         if result.observed is not None:
             parts["observed"] = Part(pack_bits(result.observed))
-    load = result.loads[0]
-    parts["deformed"] = _field(load.probability, load.deformed, thresholds["deformation"])
-    parts["displacement"] = _displacement(load)
+    parts["displacement"] = _displacement(result.loads[0])
     return parts
 
 

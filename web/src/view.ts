@@ -1,0 +1,317 @@
+/** The 3D view: what was measured, the body at rest and the body under the push. */
+
+import {
+  BufferAttribute, BufferGeometry, Color, DoubleSide, Mesh, MeshLambertMaterial, Points, PointsMaterial, Raycaster,
+  ShaderMaterial, Vector2, Vector3,
+} from "three"; // prettier-ignore
+import { Arrow } from "./arrow";
+import type { Body, Motion } from "./body";
+import { pointAt, type Frame } from "./frame";
+import { DISPLACEMENT, UNCERTAINTY, type Ramp } from "./ramp";
+import { Stage } from "./stage";
+import { surfaceNets, type Field } from "./surface_nets";
+import { rotate, type Vec3 } from "./vec";
+
+export type Layer = "observed" | "reconstructed" | "deformed";
+export type Colouring = "displacement" | "uncertainty" | "plain";
+
+export interface Cut {
+  axis: 0 | 1 | 2 | null;
+  /** Share of the grid's edge at which it cuts. */
+  at: number;
+}
+
+/** A surface in voxels with what is known at each vertex, in metres. */
+export interface Skin {
+  positions: Float32Array;
+  normals: Float32Array;
+  triangles: Uint32Array;
+  displacement: Float32Array;
+  uncertainty: Float32Array;
+}
+
+const GRID = 64;
+const MOST_POINTS = 60_000;
+const ROUND = [1, 1.5, 2, 3, 4, 5, 6, 8];
+
+export class View {
+  readonly stage: Stage;
+  layers: Record<Layer, boolean> = { observed: true, reconstructed: true, deformed: true };
+  colouring: Colouring = "displacement";
+  cut: Cut = { axis: null, at: 0.5 };
+  body: Body | null = null;
+  motion: Motion | null = null;
+  restSkin: Skin | null = null;
+  deformedSkin: Skin | null = null;
+  /** Top of the colour scale in metres. */
+  scaleM = 0;
+
+  readonly #arrow: Arrow;
+  readonly #solid = new MeshLambertMaterial({ vertexColors: true, side: DoubleSide });
+  readonly #ghost = ghostMaterial();
+  readonly #rest = new Mesh(new BufferGeometry(), this.#ghost);
+  readonly #deformed = new Mesh(new BufferGeometry(), this.#solid);
+  readonly #points = new Points(new BufferGeometry(), new PointsMaterial({ size: 1.7, sizeAttenuation: false, vertexColors: true }));
+  #plain = new Color();
+  #peakM = 0;
+
+  constructor(
+    private readonly canvas: HTMLCanvasElement,
+    listeners: { pick(contact: Vec3): void; turn(direction: Vec3): void },
+  ) {
+    this.stage = new Stage(canvas);
+    for (const mesh of [this.#points, this.#deformed, this.#rest]) {
+      mesh.frustumCulled = false;
+      this.stage.scene.add(mesh);
+    }
+    this.#rest.renderOrder = 2;
+    this.#arrow = new Arrow(this.stage, canvas, (d) => {
+      if (this.body) listeners.turn(rotate(this.body.cameraFromGrid, [d.x, d.y, d.z]));
+    });
+    this.#listen(listeners.pick);
+  }
+
+  /** Take the colours of the page. */
+  restyle(): number {
+    const style = getComputedStyle(this.canvas);
+    const colour = (name: string): Color => new Color(style.getPropertyValue(name).trim());
+    this.#arrow.colour = style.getPropertyValue("--force").trim();
+    this.#plain = colour("--clay");
+    this.#ghost.uniforms.colour!.value = colour("--ghost");
+    this.#recolour();
+    return this.body ? this.stage.drawFloor(this.body.edge, colour("--floor")) : 0;
+  }
+
+  /** A new body; looks at it from where the camera stood. */
+  setBody(body: Body, frame: Frame): void {
+    const first = this.body === null || this.body.cameraFromGrid !== body.cameraFromGrid;
+    this.body = body;
+    this.motion = null;
+    this.#showPoints(frame, body);
+    this.rebuild();
+    if (first) {
+      let top = 0;
+      for (let i = 2; i < this.restSkin!.positions.length; i += 3) top = Math.max(top, this.restSkin!.positions[i]!);
+      this.stage.lookFrom(this.#place(body.toVoxels([0, 0, 0])), (0.5 * top) / GRID);
+    }
+  }
+
+  /** After the colours of the page have changed. */
+  repaintPoints(frame: Frame): void {
+    if (this.body) this.#showPoints(frame, this.body);
+  }
+
+  setMotion(motion: Motion, peakM: number): void {
+    this.motion = motion;
+    this.#peakM = peakM;
+    this.#buildDeformed();
+  }
+
+  clear(): void {
+    this.body = this.motion = this.restSkin = this.deformedSkin = null;
+    this.#arrow.show(new Vector3(), new Vector3(0, 0, -1), 0, false);
+    for (const mesh of [this.#points, this.#deformed, this.#rest]) mesh.visible = false;
+    this.stage.invalidate();
+  }
+
+  /** After the cut has moved. */
+  rebuild(): void {
+    if (!this.body) return;
+    this.restSkin = skinOf(this.body, null, { values: this.body.rest, size: [GRID, GRID, GRID] }, [0, 0, 0], this.cut);
+    fill(this.#rest.geometry, this.restSkin);
+    this.#buildDeformed();
+  }
+
+  /** After a layer or the colouring has changed. */
+  refresh(): void {
+    const { observed, reconstructed, deformed } = this.layers;
+    const both = deformed && this.deformedSkin !== null;
+    this.#points.visible = observed && this.body !== null;
+    this.#deformed.visible = both;
+    this.#rest.visible = reconstructed && this.restSkin !== null;
+    this.#rest.material = both ? this.#ghost : (this.#solid as never);
+    this.#recolour();
+  }
+
+  showForce(contact: Vec3 | null, direction: Vec3, strength: number): void {
+    if (!this.body || !contact) return;
+    const [x, y, z] = rotate(this.body.gridFromCamera, direction);
+    this.#arrow.show(this.#place(this.body.toVoxels(contact)), new Vector3(x, y, z), strength, true);
+  }
+
+  #buildDeformed(): void {
+    if (this.body && this.motion) {
+      const { field, origin } = this.motion.carry(this.body);
+      this.deformedSkin = skinOf(this.body, this.motion, field, origin, this.cut);
+      fill(this.#deformed.geometry, this.deformedSkin);
+    } else {
+      this.deformedSkin = null;
+    }
+    this.refresh();
+  }
+
+  #recolour(): void {
+    const { body } = this;
+    if (!body) return;
+    const ramp = this.colouring === "uncertainty" ? UNCERTAINTY : DISPLACEMENT;
+    this.scaleM = this.colouring === "uncertainty" ? roundUp(3 * body.pitch) : roundUp(this.#peakM);
+    for (const [mesh, skin] of [[this.#rest, this.restSkin], [this.#deformed, this.deformedSkin]] as const) {
+      if (!skin) continue;
+      const shown = this.colouring === "plain" ? null : skin[this.colouring];
+      paint(mesh.geometry, shown, this.scaleM, ramp, this.#plain);
+    }
+    this.stage.invalidate();
+  }
+
+  #place([x, y, z]: Vec3): Vector3 {
+    return new Vector3(x / GRID - 0.5, y / GRID - 0.5, z / GRID);
+  }
+
+  /** The depth image around the object, what belongs to it darker than what does not. */
+  #showPoints(frame: Frame, body: Body): void {
+    const places: number[] = [];
+    const colours: number[] = [];
+    const style = getComputedStyle(this.canvas);
+    const own = new Color(style.getPropertyValue("--measured").trim());
+    const other = new Color(style.getPropertyValue("--around").trim());
+    const step = Math.max(1, Math.ceil(Math.sqrt((frame.width * frame.height) / MOST_POINTS / 4)));
+    for (let v = 0; v < frame.height; v += step) {
+      for (let u = 0; u < frame.width; u += step) {
+        const point = pointAt(frame, u, v);
+        if (!point) continue;
+        const at = body.toVoxels(point);
+        const place = this.#place(at);
+        const far = Math.hypot(place.x, place.y);
+        if (far > 0.95 || place.z < -0.05 || place.z > 1.1) continue;
+        const held = body.holds(point);
+        if (!held && (u / step + v / step) % 2) continue;
+        places.push(place.x, place.y, place.z);
+        const colour = held ? own : other;
+        colours.push(colour.r, colour.g, colour.b);
+      }
+    }
+    this.#points.geometry.dispose();
+    this.#points.geometry = new BufferGeometry();
+    this.#points.geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
+    this.#points.geometry.setAttribute("color", new BufferAttribute(new Float32Array(colours), 3));
+  }
+
+  /** A click on the body, not the end of a turn, moves the contact there. */
+  #listen(pick: (contact: Vec3) => void): void {
+    let down: [number, number] | null = null;
+    this.canvas.addEventListener("pointerdown", (event) => (down = [event.offsetX, event.offsetY]));
+    this.canvas.addEventListener("pointerup", (event) => {
+      if (!down || !this.body || Math.hypot(event.offsetX - down[0], event.offsetY - down[1]) > 4) return;
+      const at = new Vector2((event.offsetX / this.canvas.clientWidth) * 2 - 1, 1 - (event.offsetY / this.canvas.clientHeight) * 2);
+      const caster = new Raycaster();
+      caster.setFromCamera(at, this.stage.camera);
+      const moved = this.#deformed.visible;
+      const hit = caster.intersectObject(moved ? this.#deformed : this.#rest)[0];
+      if (!hit) return;
+      const place: Vec3 = [(hit.point.x + 0.5) * GRID, (hit.point.y + 0.5) * GRID, hit.point.z * GRID];
+      const u = new Float64Array(3);
+      // The push is on the body at rest: back to where this material came from.
+      if (moved) this.motion?.at(...place, u);
+      const { pitch } = this.body;
+      pick(this.body.toCamera([place[0] - u[0]! / pitch, place[1] - u[1]! / pitch, place[2] - u[2]! / pitch]));
+    });
+  }
+}
+
+/** A round number not below the value. */
+export function roundUp(value: number): number {
+  if (!(value > 0)) return 0.001;
+  const power = 10 ** Math.floor(Math.log10(value));
+  return (ROUND.find((step) => step * power >= value * 0.999) ?? 10) * power;
+}
+
+function skinOf(body: Body, motion: Motion | null, field: Field, origin: Vec3, cut: Cut): Skin {
+  const surface = surfaceNets(cut.axis === null ? field : cutField(field, origin, cut.axis, cut.at * GRID, body.iso), body.iso);
+  const { positions, normals } = surface;
+  const count = positions.length / 3;
+  const displacement = new Float32Array(count);
+  const uncertainty = new Float32Array(count);
+  const u = new Float64Array(3);
+  for (let i = 0, at = 0; i < count; i++, at += 3) {
+    for (let axis = 0; axis < 3; axis++) positions[at + axis]! += origin[axis]! + 0.5;
+    const [x, y, z] = [positions[at]!, positions[at + 1]!, positions[at + 2]!];
+    if (motion) {
+      motion.at(x, y, z, u);
+      displacement[i] = Math.hypot(u[0]!, u[1]!, u[2]!);
+    }
+    uncertainty[i] = body.uncertainty(
+      x - u[0]! / body.pitch, y - u[1]! / body.pitch, z - u[2]! / body.pitch,
+      normals[at]!, normals[at + 1]!, normals[at + 2]!,
+    ); // prettier-ignore
+  }
+  return { positions, normals, triangles: surface.triangles, displacement, uncertainty };
+}
+
+/** Empty beyond a plane, so that the surface closes there and shows what is inside. */
+function cutField(field: Field, origin: Vec3, axis: 0 | 1 | 2, plane: number, iso: number): Field {
+  const [nx, ny, nz] = field.size;
+  const values = new Float32Array(field.values.length);
+  for (let x = 0, at = 0; x < nx; x++) {
+    for (let y = 0; y < ny; y++) {
+      for (let z = 0; z < nz; z++, at++) {
+        const place = origin[axis]! + 0.5 + (axis === 0 ? x : axis === 1 ? y : z);
+        values[at] = Math.min(field.values[at]!, iso + 255 * (plane - place));
+      }
+    }
+  }
+  return { values, size: field.size };
+}
+
+function fill(geometry: BufferGeometry, skin: Skin): void {
+  const places = new Float32Array(skin.positions.length);
+  for (let at = 0; at < places.length; at += 3) {
+    places[at] = skin.positions[at]! / GRID - 0.5;
+    places[at + 1] = skin.positions[at + 1]! / GRID - 0.5;
+    places[at + 2] = skin.positions[at + 2]! / GRID;
+  }
+  // The old buffers are freed; a changed count would need new ones anyway.
+  geometry.dispose();
+  geometry.setAttribute("position", new BufferAttribute(places, 3));
+  geometry.setAttribute("normal", new BufferAttribute(skin.normals, 3));
+  geometry.setIndex(new BufferAttribute(skin.triangles, 1));
+  geometry.boundingSphere = null;
+}
+
+function paint(geometry: BufferGeometry, values: Float32Array | null, scaleM: number, ramp: Ramp, plain: Color): void {
+  const count = geometry.getAttribute("position").count;
+  const colours = new Float32Array(3 * count);
+  for (let i = 0; i < count; i++) {
+    const entry = values ? 3 * Math.min(255, Math.round((255 * values[i]!) / scaleM)) : 0;
+    for (let c = 0; c < 3; c++) {
+      colours[3 * i + c] = values ? LINEAR[ramp[entry + c]!]! : c === 0 ? plain.r : c === 1 ? plain.g : plain.b;
+    }
+  }
+  geometry.setAttribute("color", new BufferAttribute(colours, 3));
+}
+
+/** sRGB bytes to linear light. */
+const LINEAR = Float32Array.from({ length: 256 }, (_, i) => {
+  const s = i / 255;
+  return s <= 0.04045 ? s / 12.92 : ((s + 0.055) / 1.055) ** 2.4;
+});
+
+/** Its rim shows, its middle hardly: what is behind stays visible. */
+function ghostMaterial(): ShaderMaterial {
+  return new ShaderMaterial({
+    uniforms: { colour: { value: new Color() } },
+    transparent: true,
+    depthWrite: false,
+    vertexShader: `varying float facing;
+      void main() {
+        vec4 seen = modelViewMatrix * vec4(position, 1.0);
+        facing = abs(dot(normalize(normalMatrix * normal), normalize(-seen.xyz)));
+        gl_Position = projectionMatrix * seen;
+      }`,
+    fragmentShader: `uniform vec3 colour;
+      varying float facing;
+      void main() {
+        gl_FragColor = vec4(colour, 0.05 + 0.55 * pow(1.0 - facing, 2.5));
+        #include <colorspace_fragment>
+      }`,
+  });
+}
