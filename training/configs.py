@@ -117,10 +117,19 @@ class FitDeformationConfig(FitConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class FitReconstructionConfig(FitConfig):
-    """All that a run is made of."""
+    """All that a run is made of.
+
+    Attributes:
+        batch: Views of a batch.
+        iou_weight: Weight of the soft IoU beside the cross-entropy, which alone is about a tenth of it.
+        overrule: Whether voxels seen to be free count as empty whatever the network says, as they do where it is
+            served; else it is asked to say so itself.
+    """
 
     network: ReconstructionKind = field(default_factory=ReconstructionConfig)
-    batch: int = 16
+    batch: int = 8
+    iou_weight: float = 0.1
+    overrule: bool = True
 
 
 REAL = ConditionConfig(encoding="real")
@@ -146,7 +155,7 @@ DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
 }  # fmt: skip
 
 RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
-    "realtime": FitReconstructionConfig(),
+    "realtime": FitReconstructionConfig(optimizer=OptimizerConfig(learning_rate=2e-3)),
     "realtime-gan": FitReconstructionConfig(
         adversary=AdversaryConfig(
             critic=CriticConfig(given_channels=2, channels=SMALL_CRITIC),
@@ -154,7 +163,7 @@ RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
         ),
     ),
     "paper": FitReconstructionConfig(
-        network=RecGanConfig(), optimizer=PAPER_OPTIMIZER, alpha=0.85, batch=8,
+        network=RecGanConfig(), optimizer=PAPER_OPTIMIZER, alpha=0.85, batch=8, iou_weight=0.0, overrule=False,
         adversary=AdversaryConfig(critic=CriticConfig(given_channels=2)),
     ),
 }  # fmt: skip

@@ -30,9 +30,21 @@ def modified_bce(output: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"
 
 def modified_bce_with_logits(logits: Float[Tensor, "*shape"], target: Float[Tensor, "*shape"], alpha: float) -> Tensor:
     """The same on logits, without the clamp (the logarithm of the sigmoid is exact)."""
-    log_o = torch.nn.functional.logsigmoid(logits)
-    log_not_o = torch.nn.functional.logsigmoid(-logits)
-    return -(alpha * target * log_o + (1 - alpha) * (1 - target) * log_not_o).mean()
+    minus_log_not_o = torch.nn.functional.softplus(logits)  # and -log o is this less the logit: one pass in two's place
+    weight = 1 - alpha + (2 * alpha - 1) * target
+    return (weight * minus_log_not_o - alpha * target * logits).mean()
+
+
+def soft_iou_loss(logits: Float[Tensor, "batch *grid"], target: Float[Tensor, "batch *grid"]) -> Tensor:
+    """1 - Σ o t / Σ (o + t - o t) of every sample, averaged: what is measured, made differentiable.
+
+    Source: Rahman and Wang, "Optimizing Intersection-Over-Union in Deep Neural Networks for Image Segmentation", ISVC
+    2016, eq. 3.
+    """
+    o, t = logits.sigmoid().flatten(1), target.flatten(1)
+    both = (o * t).sum(dim=1)
+    either = o.sum(dim=1) + t.sum(dim=1) - both
+    return (1 - both / either.clamp(min=1e-6)).mean()
 
 
 def kl_divergence(mean: Float[Tensor, "batch latent"], log_variance: Float[Tensor, "batch latent"]) -> Tensor:

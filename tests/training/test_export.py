@@ -53,7 +53,8 @@ def test_the_service_reads_what_was_exported(kind: str, folders: dict[str, tuple
     assert manifest.dataset == tiny.DATASET
     assert manifest.evaluation == FIGURES
     assert manifest.parity < 1e-4
-    assert manifest.configuration["network"]["condition" if kind == "deformation" else "head"] == 8
+    field, value = ("condition", 8) if kind == "deformation" else ("channels", [4, 4, 4, 4])
+    assert manifest.configuration["network"][field] == value
     assert {path.name for path in folder.iterdir()} == {"model.onnx", "manifest.json", "CARD.md"}
     open_session(folder, manifest, threads=1)  # tensors are those of the manifest, or this raises
 

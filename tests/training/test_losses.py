@@ -10,6 +10,7 @@ from training.losses import (
     modified_bce,
     modified_bce_with_logits,
     relative_displacement,
+    soft_iou_loss,
     vae_gan_loss,
     wasserstein_loss,
 )
@@ -41,6 +42,15 @@ def test_on_logits_it_is_the_same_and_does_not_saturate() -> None:
     assert float(with_logits) == pytest.approx(float(modified_bce(logits.sigmoid(), target, 0.7)), rel=1e-5)
     far = modified_bce_with_logits(torch.tensor([-200.0]), torch.tensor([1.0]), 0.5)
     assert float(far) == pytest.approx(100.0)
+
+
+def test_soft_iou_by_hand() -> None:
+    """Probabilities 0.8 and 0.3 against 1 and 0: 0.8/(1.1 + 1 - 0.8); all right and all wrong: 1 and 0."""
+    o, t = torch.tensor([[0.8, 0.3]]), torch.tensor([[1.0, 0.0]])
+    assert float(soft_iou_loss(o.logit(), t)) == pytest.approx(1 - 0.8 / 1.3, rel=1e-5)
+    sure = torch.tensor([[[30.0, -30.0]], [[30.0, -30.0]]])
+    assert float(soft_iou_loss(sure, torch.tensor([[[1.0, 0.0]], [[0.0, 1.0]]]))) == pytest.approx(0.5)
+    assert float(soft_iou_loss(sure, torch.zeros(2, 1, 2))) == pytest.approx(1.0)
 
 
 def test_kl_by_hand() -> None:

@@ -31,7 +31,7 @@ torch.set_num_threads(1)
 DEFORMATION = DeformationConfig(
     encoder_channels=(4, 4, 4), generator_channels=(4, 4, 4), generator_blocks=(1, 1, 1), latent=3, condition=8
 )
-RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4), blocks=(0, 1, 0), head=8)
+RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4, 4), blocks=(0, 1, 0, 0))
 OPTIMIZER = OptimizerConfig(warm_up=2)
 FIT_DEFORMATION = FitDeformationConfig(
     network=DEFORMATION, optimizer=OPTIMIZER, bodies=2, loads=1, steps=6, points=64, validate_every=3,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -32,6 +33,9 @@ class RecGanConfig:
 
 class RecGan(nn.Module):
     """An autoencoder with U-Net skips, without a latent distribution."""
+
+    memory_format = torch.channels_last_3d
+    """In which a CPU trains it fastest."""
 
     def __init__(self, config: RecGanConfig) -> None:
         super().__init__()

@@ -26,21 +26,27 @@ def test_observed_and_free_are_told_apart() -> None:
         assert (network(view) - network(view.flip(1))).abs().max() > 1e-3
 
 
-def test_a_voxel_speaks_of_its_own_place() -> None:
-    """The head also sees the view's own voxels: of a random network the answer differs most where the view does."""
+def test_a_column_of_voxels_speaks_of_its_own_place() -> None:
+    """Fine features pass by the coarse ones: of a random network the answer differs most where the view does."""
     network = tiny.reconstruction_network()
     empty = torch.zeros(1, 2, 64, 64, 64)
     dot = empty.clone()
     dot[0, 0, 8:12, 40:44, 20:24] = 1.0
     with torch.no_grad():
         change = (network(dot) - network(empty))[0].abs()
-    cell = change[8:12, 40:44, 20:24].mean()
-    assert cell > 4 * change.mean()
+    column = change[8:12, 40:44].mean()
+    assert column > 4 * change.mean()
 
 
 def test_every_weight_is_used() -> None:
-    network = ReconstructionNetwork(ReconstructionConfig(channels=(2, 2, 2), blocks=(1, 1, 1), head=4))
+    network = ReconstructionNetwork(ReconstructionConfig(channels=(2, 2, 2, 2), blocks=(1, 1, 1, 1)))
     view = torch.rand(2, 2, 64, 64, 64, generator=torch.Generator().manual_seed(1)).round()
     torch.autograd.backward((network(view) ** 2).mean())
     unused = [name for name, weight in network.named_parameters() if weight.grad is None]
     assert not unused
+
+
+def test_the_shipped_size_stays_within_its_budget() -> None:
+    """12 MB of weights at 4 bytes each."""
+    network = ReconstructionNetwork(ReconstructionConfig())
+    assert sum(weight.numel() for weight in network.parameters()) < 3.2e6
