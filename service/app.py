@@ -7,19 +7,23 @@ import contextlib
 import logging
 import signal
 import socket
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import uvicorn
 
 from service.api.handler import Handler
+from service.api.logs import configure
 from service.api.oip_models import Models
+from service.api.openapi import API_VERSION
 from service.api.rest import create_http
 from service.api.rpc_server import GrpcServer
+from service.api.tracing import make_tracer
 from service.core.errors import PhysNetError
 from service.core.manifest import Manifest
 from service.inference.graph import Graph
+from service.reconstructions import Reconstructions
 from service.scheduler import Predictor, Scheduler
 from service.settings import Settings
 
@@ -31,11 +35,12 @@ KEEP_ALIVE_S = 75
 
 @dataclass(frozen=True)
 class Served:
-    """What answers requests, warmed up, the manifests of its models, and the networks as they are."""
+    """What answers requests, warmed up, its models' manifests, the networks as they are, and what it keeps."""
 
     predictor: Predictor
     manifests: Sequence[Manifest]
     graphs: Sequence[Graph] = ()
+    kept: Reconstructions[Any] | None = None
 
 
 def build_pipeline(settings: Settings) -> Served:
@@ -48,12 +53,14 @@ def build_pipeline(settings: Settings) -> Served:
     # `/healthz` answers meanwhile.
     from service.core.limits import FrameLimits
     from service.inference.registry import load_models
-    from service.pipeline import Pipeline
+    from service.pipeline import Body, Pipeline
 
     models = load_models(settings.models, settings.threads)
     models.warm_up()
     limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
-    return Served(Pipeline(models.reconstruction, models.deformation, limits), models.manifests, models.graphs)
+    kept = Reconstructions[Body](settings.reconstruction_bytes, settings.reconstruction_lifetime_s)
+    pipeline = Pipeline(models.reconstruction, models.deformation, limits, kept)
+    return Served(pipeline, models.manifests, models.graphs, kept)
 
 
 class _Server(uvicorn.Server):
@@ -86,7 +93,12 @@ async def serve(
     """
     stop = stop or asyncio.Event()
     _stop_on_signals(stop)
-    handler = Handler()
+    try:
+        tracer = make_tracer(settings.tracing_endpoint, settings.tracing_share, API_VERSION)
+    except ImportError as error:
+        log.error("%s", error)
+        return 1
+    handler = Handler(tracer)
     models = Models(handler, settings.max_loads)
     rpc = GrpcServer(handler, settings, models)
     listener = _listen(settings.host, settings.http_port)
@@ -117,7 +129,8 @@ async def serve(
         await asyncio.wait({loading, stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         if loading.done():
             served = loading.result()
-            handler.open(Scheduler(served.predictor, settings.queue_size), served.manifests, served.graphs)
+            scheduler = Scheduler(served.predictor, settings.queue_size)
+            handler.open(scheduler, served.manifests, served.graphs, served.kept)
             await rpc.ready()
             host, http_port = listener.getsockname()[:2]
             host = f"[{host}]" if ":" in host else host
@@ -137,6 +150,9 @@ async def serve(
         server.should_exit = True
         await serving
         stopped.cancel()
+        # Sending what is left takes as long as the collector lets it, up to the grace that requests had.
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(asyncio.to_thread(handler.tracer.close), max(1.0, settings.shutdown_grace_s))
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:
@@ -154,11 +170,7 @@ def _listen(host: str, port: int) -> socket.socket:
 
 def run(settings: Settings) -> int:
     """`serve` on the fastest event loop there is, logging to stderr."""
-    logging.basicConfig(
-        stream=sys.stderr, level=settings.log_level.upper(), format="%(asctime)s %(levelname)s %(name)s %(message)s"
-    )
-    # Uvicorn calls all of its ordinary news errors by the name of its logger, and says nothing there we do not.
-    logging.getLogger("uvicorn").setLevel(max(logging.WARNING, logging.getLogger().level))
+    configure(settings.log_level, settings.log_format)
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(serve(settings, announce=_announce))
 

@@ -75,6 +75,12 @@ class Settings(BaseSettings):
     queue_size: int = Field(16, ge=1)
     """Requests that may wait for the worker; further ones are refused at once with a time to try again."""
 
+    reconstruction_bytes: int = Field(64 * 2**20, ge=0)
+    """Memory for reconstructions that may be asked again by their id, about 2 MiB each; 0 keeps none."""
+
+    reconstruction_lifetime_s: float = Field(60.0, gt=0.0)
+    """How long a reconstruction is kept after its last use, where the memory lasts."""
+
     threads: int = Field(default_factory=available_cores, ge=1)
     """Threads of each network's session; by default the cores this process may use."""
 
@@ -88,4 +94,14 @@ class Settings(BaseSettings):
     """Bearer token that `/v1/…` asks for; None leaves the service open, as behind a robot's own network."""
 
     log_level: Literal["debug", "info", "warning", "error"] = "info"
-    """Lowest level written to stderr."""
+    """Lowest level written to stderr. Requests that were answered are told of at `debug`."""
+
+    log_format: Literal["text", "json"] = "text"
+    """Log lines for people, or one JSON object a line."""
+
+    tracing_endpoint: str | None = None
+    """Collector that takes traces as OTLP over gRPC, such as http://127.0.0.1:4317; None traces nothing. Needs the
+    extra `tracing`."""
+
+    tracing_share: float = Field(1.0, ge=0.0, le=1.0)
+    """Of the requests that no caller's trace came with, the share that is traced."""

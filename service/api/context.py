@@ -13,8 +13,9 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api.metrics import Metrics
+from service.api.handler import Handler
 from service.api.problem import MEDIA_TYPE, ValidationFailed, problem_bytes, problem_document, problem_headers
+from service.api.tracing import NO_SPAN, NO_TRACER, Span
 from service.core.errors import PhysNetError, Unauthenticated
 
 log = logging.getLogger(__name__)
@@ -47,9 +48,9 @@ def problem_response(error: BaseException, request_id: str) -> Response:
 class RequestContext:
     """ASGI middleware. A plain class: starlette's BaseHTTPMiddleware would hide a client's disconnection."""
 
-    def __init__(self, app: ASGIApp, metrics: Metrics, token: str | None) -> None:
+    def __init__(self, app: ASGIApp, handler: Handler, token: str | None) -> None:
         self._app = app
-        self._metrics = metrics
+        self._handler = handler
         self._token = token
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -61,6 +62,10 @@ class RequestContext:
         request_id = request_id_of(headers.get("x-request-id", ""))
         state = scope.setdefault("state", {})
         state["request_id"] = request_id
+        ours = scope["path"].startswith(("/v1/", "/v2/models"))
+        tracer = self._handler.tracer if ours else NO_TRACER
+        attributes = {"http.request.method": scope["method"], "physnet.request_id": request_id}
+        state["span"] = span = tracer.begin(scope["method"], headers, attributes)
         status = 0
 
         async def send_with_id(message: Message) -> None:
@@ -72,26 +77,43 @@ class RequestContext:
 
         code = "ok"
         try:
-            if scope["path"].startswith(("/v1/", "/v2/models")):
+            if ours:
                 check_token(headers.get("authorization", ""), self._token)
             await self._app(scope, receive, send_with_id)
             code = state.get("code", "ok" if status < 400 else "internal")
         except ClientDisconnect:
             code = "cancelled"
         except Exception as error:
-            code = log_error(error, request_id)
+            code = log_error(error, request_id, span)
             if status == 0:
                 await problem_response(error, request_id)(scope, receive, send_with_id)
         finally:
             route = getattr(scope.get("route"), "path", "none")
-            self._metrics.request("http", route, code, time.perf_counter() - started)
+            elapsed_s = time.perf_counter() - started
+            self._handler.metrics.request("http", route, code, elapsed_s)
+            span.end(code, f"{scope['method']} {route}")
+            log_done("http", route, code, elapsed_s, request_id, span)
 
 
-def log_error(error: Exception, request_id: str) -> str:
+def log_error(error: Exception, request_id: str, span: Span = NO_SPAN) -> str:
     """Log an error that ended a request; returns the code it is counted under."""
     known = error.error if isinstance(error, ValidationFailed) else error
+    extra = {"request_id": request_id, "trace_id": span.trace_id}
     if isinstance(known, PhysNetError):
-        log.info("%s: %s request=%s field=%s", known.code, known.message, request_id, known.field)
+        extra |= {"code": known.code, "field": known.field or ""}
+        log.info("%s: %s request=%s field=%s", known.code, known.message, request_id, known.field, extra=extra)
         return known.code
-    log.error("unexpected error request=%s", request_id, exc_info=error)
+    extra["code"] = PhysNetError.code
+    log.error("unexpected error request=%s", request_id, exc_info=error, extra=extra)
     return PhysNetError.code
+
+
+def log_done(wire: str, route: str, code: str, elapsed_s: float, request_id: str, span: Span = NO_SPAN) -> None:
+    """Log the end of a request, at the level of a robot's 30 a second."""
+    if log.isEnabledFor(logging.DEBUG):
+        duration_ms = round(1e3 * elapsed_s, 3)
+        extra = {
+            "wire": wire, "route": route, "code": code, "duration_ms": duration_ms, "request_id": request_id,
+            "trace_id": span.trace_id,
+        }  # fmt: skip
+        log.debug("%s %s %s %.1f ms request=%s", wire, route, code, duration_ms, request_id, extra=extra)

@@ -14,6 +14,7 @@ from pydantic import ValidationError
 from pydantic_core import to_json
 
 from service.api.problem import validation_failed
+from service.api.scene import scene_glb
 from service.api.schemas import DeformBody, LoadBody, MaterialBody, ShapeBody
 from service.core.arrays import GRID_SIZE, Occupancy, Vector3
 from service.core.camera import make_intrinsics, parse_up
@@ -23,6 +24,7 @@ from service.core.materials import Material, material, material_named
 from service.core.messages import (
     DeformRequest,
     DeformResult,
+    EarlierReconstruction,
     EncodedImage,
     KnownShape,
     Load,
@@ -70,22 +72,44 @@ def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] 
             expected=f"at most {max_loads}",
             actual=len(body.loads),
         )
-    has_depth = body.depth is not None or "depth" in (files or {})
-    if has_depth == (body.shape is not None):
-        raise InvalidRequest(
-            "Send either `depth`, one depth image, or `shape`, a known geometry.",
-            field="depth",
-            expected="exactly one of depth and shape",
-            actual="both" if has_depth else "neither",
-        )
     return DeformRequest(
-        source=_known_shape(body, body.shape, files) if body.shape else _observation(body, files),
+        source=_source(body, files),
         material=_material(body.material),
         loads=tuple(_load(load, f"loads[{index}]") for index, load in enumerate(body.loads)),
         outputs=frozenset(body.outputs),
         threshold=body.threshold,
         uncertainty_samples=body.uncertainty_samples,
     )
+
+
+def _source(body: DeformBody, files: Mapping[str, bytes] | None) -> Observation | KnownShape | EarlierReconstruction:
+    given = {
+        "depth": body.depth is not None or "depth" in (files or {}),
+        "shape": body.shape is not None,
+        "reconstruction_id": body.reconstruction_id is not None,
+    }
+    if sum(given.values()) != 1:
+        raise InvalidRequest(
+            "Send `depth`, one depth image, `shape`, a known geometry, or the `reconstruction_id` of an earlier reply.",
+            field="depth",
+            expected="exactly one of depth, shape and reconstruction_id",
+            actual=" and ".join(name for name, there in given.items() if there) or "none",
+        )
+    if body.shape is not None:
+        return _known_shape(body, body.shape, files)
+    if body.reconstruction_id is not None:
+        return _earlier(body, body.reconstruction_id, files)
+    return _observation(body, files)
+
+
+def _earlier(body: DeformBody, reconstruction_id: str, files: Mapping[str, bytes] | None) -> EarlierReconstruction:
+    for name in ("camera", "mask", "up", "roi"):
+        if getattr(body, name) is not None or name in (files or {}):
+            raise InvalidRequest(
+                f"An earlier reconstruction is asked again as it is: it takes no `{name}`.",
+                field=name, expected="no such field",
+            )  # fmt: skip
+    return EarlierReconstruction(reconstruction_id)
 
 
 def _observation(body: DeformBody, files: Mapping[str, bytes] | None) -> Observation:
@@ -178,6 +202,8 @@ def _vector(components: tuple[float, float, float]) -> Vector3:
 
 def is_heavy(request: DeformRequest) -> bool:
     """Whether the reply is better encoded beside the event loop."""
+    if "scene" in request.outputs:
+        return True
     fields = len(request.loads) * len(request.outputs & {"probability", "displacement"})
     return max(fields, len(request.loads)) > HEAVY_FIELDS
 
@@ -185,8 +211,10 @@ def is_heavy(request: DeformRequest) -> bool:
 def reply_document(result: DeformResult, outputs: frozenset[str], request_id: str) -> dict[str, Any]:
     """The reply as in `service.api.schemas.DeformReply`, but for `timing_ms`, which ends with the encoding itself."""
     grid = result.grid
-    document: dict[str, Any] = {
-        "request_id": request_id,
+    document: dict[str, Any] = {"request_id": request_id}
+    if result.reconstruction_id is not None:
+        document["reconstruction_id"] = result.reconstruction_id
+    document |= {
         "model": {"name": result.model_name, "version": result.model_version},
         "grid": {
             "shape": [GRID_SIZE] * 3,
@@ -202,6 +230,8 @@ def reply_document(result: DeformResult, outputs: frozenset[str], request_id: st
             document["reconstruction_probability"] = _probability(result.reconstruction_probability)
     document["loads"] = [_load_document(load, outputs) for load in result.loads]
     document["flags"] = sorted(result.flags)
+    if "scene" in outputs:
+        document["scene"] = {"encoding": "glb", "data": base64.b64encode(scene_glb(result)).decode("ascii")}
     return document
 
 
@@ -256,10 +286,12 @@ def reply_npz(
 
     `voxel_size_m` and `camera_from_grid`; where asked for `observed`, `reconstruction` (bool 64³), `deformed`
     (bool n×64³), `reconstruction_probability` and `probability` (float16), `displacement_m` (float16 n×3×64³);
-    `max_displacement_m`, `mean_displacement_m`, `load_number` (n); the rest as JSON in the string `meta`.
+    `max_displacement_m`, `mean_displacement_m`, `load_number` (n); `scene` (bytes of a binary glTF); the rest as JSON
+    in the string `meta`.
     """
     meta = {
         "request_id": request_id,
+        "reconstruction_id": result.reconstruction_id,
         "model": {"name": result.model_name, "version": result.model_version},
         "flags": sorted(result.flags),
         "load_flags": [sorted(load.flags) for load in result.loads],
@@ -285,6 +317,8 @@ def reply_npz(
         arrays["probability"] = np.stack([load.probability.astype(np.float16) for load in result.loads])
     if "displacement" in outputs:
         arrays["displacement_m"] = np.stack([load.displacement_m.astype(np.float16) for load in result.loads])
+    if "scene" in outputs:
+        arrays["scene"] = np.frombuffer(scene_glb(result), np.uint8)
     return _npz(arrays)
 
 

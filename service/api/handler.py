@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
-from service.api.metrics import Metrics
+from service.api.metrics import Metrics, State
+from service.api.tracing import NO_TRACER, Span, Tracer
 from service.core.errors import Overloaded
 from service.core.manifest import Manifest
 from service.core.messages import DeformRequest, DeformResult
 from service.inference.graph import Graph
+from service.reconstructions import Reconstructions
 from service.scheduler import Answer, Place, Result, Scheduler
 
 
 class Handler:
     """Exists before the models do, so that a wire can say that it is not ready yet."""
 
-    def __init__(self) -> None:
-        self.metrics = Metrics(lambda: self._scheduler.queue_depth if self._scheduler else 0)
+    def __init__(self, tracer: Tracer = NO_TRACER) -> None:
+        self.tracer = tracer
+        self.metrics = Metrics(self._state)
         self._scheduler: Scheduler | None = None
+        self._kept: Reconstructions[Any] | None = None
         self._manifests: tuple[Manifest, ...] = ()
         self._graphs: tuple[Graph, ...] = ()
         self._stopping = False
@@ -37,12 +42,19 @@ class Handler:
         """The networks as they are; none before they are loaded."""
         return self._graphs
 
-    def open(self, scheduler: Scheduler, manifests: Sequence[Manifest], graphs: Sequence[Graph] = ()) -> None:
+    def open(
+        self,
+        scheduler: Scheduler,
+        manifests: Sequence[Manifest],
+        graphs: Sequence[Graph] = (),
+        kept: Reconstructions[Any] | None = None,
+    ) -> None:
         """From here on requests are answered."""
         self._scheduler = scheduler
+        self._kept = kept
         self._graphs = tuple(graphs)
         self._manifests = tuple(manifests)
-        self.metrics.ready({m.name: m.version for m in manifests})
+        self.metrics.models(manifests)
 
     async def deform(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
         """Answer one request; see `Scheduler.submit`.
@@ -52,6 +64,11 @@ class Handler:
             PhysNetError: What the scheduler or the predictor raises.
         """
         return await self._opened().submit(request, deadline)
+
+    def answered(self, timing_ms: Mapping[str, float], span: Span) -> None:
+        """Count and trace the stages of an answer, which ends now."""
+        self.metrics.stages(timing_ms)
+        span.stages(timing_ms)
 
     async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
         """Do something else in the worker's turn; see `Scheduler.call`. Raises as `deform` does."""
@@ -64,6 +81,17 @@ class Handler:
             Overloaded: The models are still being loaded.
         """
         return self._opened().place()
+
+    def _state(self) -> State:
+        kept = self._kept
+        return State(
+            ready=self.ready,
+            queue_depth=self._scheduler.queue_depth if self._scheduler else 0,
+            kept=kept.entries if kept else 0,
+            kept_bytes=kept.nbytes if kept else 0,
+            hits=kept.hits if kept else 0,
+            misses=kept.misses if kept else 0,
+        )
 
     def _opened(self) -> Scheduler:
         if self._scheduler is None:

@@ -61,6 +61,7 @@ def _deform() -> dict[str, Any]:
                 "content": {
                     "application/json": {"schema": _ref(DeformReply)},
                     "application/x-npz": {"schema": {"type": "string", "format": "binary"}},
+                    "model/gltf-binary": {"schema": {"type": "string", "format": "binary"}},
                 },
             }
         },

@@ -26,6 +26,7 @@ from service.api.metrics import CONTENT_TYPE_LATEST
 from service.api.oip_models import Models
 from service.api.oip_rest import create_oip
 from service.api.problem import MEDIA_TYPE, document, field_path, problem_bytes
+from service.api.scene import scene_glb
 from service.api.schemas import MaterialReply, MaterialsReply
 from service.api.status import meanings
 from service.core.errors import InvalidRequest, Overloaded
@@ -35,6 +36,7 @@ from service.scheduler import Answer
 from service.settings import Settings
 
 NPZ = "application/x-npz"
+GLB = "model/gltf-binary"
 JSON = "application/json"
 
 DEADLINE_HEADER = "X-Deadline-Ms"
@@ -56,7 +58,7 @@ def create_http(handler: Handler, settings: Settings, models: Models | None = No
         responses=openapi.PROBLEMS,
     )
     token = settings.token.get_secret_value() if settings.token else None
-    app.add_middleware(RequestContext, metrics=handler.metrics, token=token)
+    app.add_middleware(RequestContext, handler=handler, token=token)
     app.add_exception_handler(HTTPException, _http_exception)
     app.add_exception_handler(RequestValidationError, _query_exception)
     _add_deform(app, handler, settings)
@@ -95,13 +97,13 @@ def _add_deform(app: FastAPI, handler: Handler, settings: Settings) -> None:
         answer = await _unless_disconnected(request, handler.deform(question, deadline))
         timing_ms = {"parse": 1e3 * (parsed - received)}
         request_id: str = request.state.request_id
-        if convert.is_heavy(question) or media_type == NPZ:
+        if convert.is_heavy(question) or media_type != JSON:
             encoded = await asyncio.to_thread(
                 _encoded, answer, question.outputs, request_id, media_type, timing_ms, received
             )
         else:
             encoded = _encoded(answer, question.outputs, request_id, media_type, timing_ms, received)
-        handler.metrics.stages(timing_ms)
+        handler.answered(timing_ms, request.state.span)
         return Response(encoded, media_type=media_type)
 
 
@@ -123,6 +125,10 @@ def _encoded(
         timing_ms["encode"] = 1e3 * (now - began)
         timing_ms["total"] = 1e3 * (now - received)
 
+    if media_type == GLB:
+        scene = scene_glb(answer.result)
+        stop()
+        return scene
     if media_type == NPZ:
         # The archive's timings are those up to its writing: it cannot be timed before it is closed.
         stop()
@@ -179,12 +185,13 @@ def _accepted(accept: str) -> str:
                     quality = 0.0
         wanted[name] = quality
     anything = max(wanted.get("*/*", 0.0), wanted.get("application/*", 0.0))
-    offers = {JSON: wanted.get(JSON, anything), NPZ: wanted.get(NPZ, 0.0)}
+    offers = {JSON: wanted.get(JSON, anything), NPZ: wanted.get(NPZ, 0.0), GLB: wanted.get(GLB, 0.0)}
     best = max(offers, key=lambda name: offers[name])
     if offers[best] <= 0.0:
         raise InvalidRequest(
-            "The reply can be JSON or a NumPy archive.", field="Accept", expected=[JSON, NPZ], actual=accept[:80]
-        )
+            "The reply can be JSON, a NumPy archive or a glTF scene.",
+            field="Accept", expected=[JSON, NPZ, GLB], actual=accept[:80],
+        )  # fmt: skip
     return best
 
 

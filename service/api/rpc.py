@@ -11,6 +11,7 @@ from service.api.generated import deformation_pb2 as pb
 from service.api.handler import Handler
 from service.api.rpc_call import Calls, Context
 from service.api.rpc_stream import FrameStream
+from service.api.tracing import Span
 from service.core.errors import InvalidRequest, Overloaded, UnknownModel
 from service.core.materials import search_materials
 from service.core.messages import DeformRequest, DeformResult
@@ -35,7 +36,7 @@ class DeformationService:
             question = self._question(request)
             parsed = time.perf_counter()
             answer = await self._handler.deform(question, call.deadline)
-            return await self._response(answer, question, call.request_id, received, parsed)
+            return await self._response(answer, question, call.request_id, received, parsed, call.span)
 
     async def DeformStream(  # noqa: N802
         self, frames: AsyncIterator[pb.DeformStreamRequest], context: Context
@@ -43,7 +44,7 @@ class DeformationService:
         """Frames in as they come, answers out; the newest frame wins."""
         async with self._calls.call(context, f"/{SERVICE}/DeformStream") as call:
             stream = FrameStream(
-                self._handler, self._settings, self._question, self._response, context.write, call.request_id
+                self._handler, self._settings, self._question, self._response, context.write, call
             )
             await stream.run(frames)
 
@@ -71,7 +72,13 @@ class DeformationService:
         return convert.deform_request(rpc_convert.parse_request(request), self._settings.max_loads)
 
     async def _response(
-        self, answer: Answer[DeformResult], question: DeformRequest, request_id: str, received: float, parsed: float
+        self,
+        answer: Answer[DeformResult],
+        question: DeformRequest,
+        request_id: str,
+        received: float,
+        parsed: float,
+        span: Span,
     ) -> pb.DeformResponse:
         began = time.perf_counter()
         if convert.is_heavy(question):
@@ -89,5 +96,5 @@ class DeformationService:
             "total": 1e3 * (now - received),
         }
         response.timing_ms.update(timing_ms)
-        self._handler.metrics.stages(timing_ms)
+        self._handler.answered(timing_ms, span)
         return response

@@ -8,9 +8,10 @@ from typing import Any, Protocol, runtime_checkable
 
 from grpc_status import rpc_status
 
-from service.api.context import check_token, log_error, request_id_of
+from service.api.context import check_token, log_done, log_error, request_id_of
 from service.api.handler import Handler
 from service.api.rpc_convert import rich_status
+from service.api.tracing import PROPAGATED
 from service.settings import Settings
 
 
@@ -30,6 +31,7 @@ class Calls:
 
     def __init__(self, handler: Handler, settings: Settings) -> None:
         self.metrics = handler.metrics
+        self.tracer = handler.tracer
         self.longest_s = settings.request_deadline_s
         self.token = settings.token.get_secret_value() if settings.token else None
 
@@ -44,6 +46,8 @@ class Call:
     Attributes:
         request_id: The client's, else one made up.
         deadline: Time of `time.monotonic()` by which inference must have begun.
+        span: Of the call.
+        caller: Metadata that names the caller's trace.
     """
 
     def __init__(self, calls: Calls, context: Context, route: str) -> None:
@@ -53,6 +57,9 @@ class Call:
         self._started = time.perf_counter()
         self._metadata = {str(key): value for key, value in context.invocation_metadata() or ()}
         self.request_id = request_id_of(self._given("x-request-id"))
+        self.caller = {name: self._given(name) for name in PROPAGATED if name in self._metadata}
+        attributes = {"rpc.system": "grpc", "physnet.request_id": self.request_id}
+        self.span = calls.tracer.begin(route.removeprefix("/"), self.caller, attributes)
         remaining_s = context.time_remaining()
         allowed_s = calls.longest_s if remaining_s is None else min(calls.longest_s, remaining_s)
         self.deadline = time.monotonic() + allowed_s
@@ -74,14 +81,17 @@ class Call:
         self._count("ok" if error is None else "cancelled")
 
     async def _fail(self, error: Exception) -> None:
-        code = log_error(error, self.request_id)
+        code = log_error(error, self.request_id, self.span)
         self._count(code)
         status = rpc_status.to_status(rich_status(error, self.request_id))
         metadata = (*(status.trailing_metadata or ()), ("x-request-id", self.request_id))
         await self._context.abort(status.code, status.details or "", metadata)
 
     def _count(self, code: str) -> None:
-        self._calls.metrics.request("grpc", self._route, code, time.perf_counter() - self._started)
+        elapsed_s = time.perf_counter() - self._started
+        self._calls.metrics.request("grpc", self._route, code, elapsed_s)
+        self.span.end(code)
+        log_done("grpc", self._route, code, elapsed_s, self.request_id, self.span)
 
     def _given(self, name: str) -> str:
         value = self._metadata.get(name, "")

@@ -20,6 +20,7 @@ from pydantic import ValidationError
 from service.api.convert import half_precision, levels
 from service.api.generated import deformation_pb2 as pb
 from service.api.problem import ValidationFailed, problem_document, validation_failed
+from service.api.scene import scene_glb
 from service.api.schemas import DeformBody
 from service.api.status import status_of
 from service.core.arrays import GRID_SIZE
@@ -39,7 +40,7 @@ _DEPTH_ENCODINGS: Mapping[int, str] = {
     pb.DEPTH_ENCODING_COMPRESSED_DEPTH: "compressedDepth",
 }
 _MASK_ENCODINGS: Mapping[int, str] = {pb.MASK_ENCODING_UNSPECIFIED: "png8", pb.MASK_ENCODING_PNG8: "png8"}
-_OUTPUTS = ("reconstruction", "deformed", "probability", "displacement")
+_OUTPUTS = ("reconstruction", "deformed", "probability", "displacement", "scene")
 
 
 # --- requests ---------------------------------------------------------------------------------------------------
@@ -124,6 +125,7 @@ _PARTS: Mapping[str, Any] = {
     "material": _material,
     "outputs": lambda outputs: [name for name in _OUTPUTS if getattr(outputs, name)],
     "threshold": float,
+    "reconstruction_id": str,
 }
 
 
@@ -142,7 +144,10 @@ def deform_response(result: DeformResult, outputs: frozenset[str], request_id: s
         ),
         loads=[_load_result(load, outputs) for load in result.loads],
         flags=sorted(result.flags),
+        reconstruction_id=result.reconstruction_id,
     )
+    if "scene" in outputs:
+        response.scene = scene_glb(result)
     if "reconstruction" in outputs:
         if result.observed is not None:
             response.observed.bits = _bytes(pack_bits(result.observed))

@@ -23,6 +23,9 @@ from service.settings import Settings
 LOAD_BYTES = 64**3 * (3 * 2 + 1) + 64**3 // 8
 """Of one load in a reply: displacement, probability and occupancy."""
 
+SCENE_BYTES = 4 * 2**20
+"""Of one surface in a scene; a smooth body's is a fifth of it, and a reply with many crumpled ones fails alone."""
+
 FLUSH_S = 0.5
 """What was answered before a stop still has this long to reach its client; open streams end then."""
 
@@ -89,7 +92,7 @@ def _options(settings: Settings) -> list[tuple[str, int]]:
         ("grpc.so_reuseport", 0),
         ("grpc.max_receive_message_length", settings.max_body_bytes),
         # As long as the largest reply there is: grids of the frame and everything of each load.
-        ("grpc.max_send_message_length", 2**20 + settings.max_loads * (LOAD_BYTES + 2**10)),
+        ("grpc.max_send_message_length", 2**20 + SCENE_BYTES + settings.max_loads * (LOAD_BYTES + SCENE_BYTES + 2**10)),
         ("grpc.max_concurrent_streams", 128),
         # A robot that was switched off, or lost its network, gives its streams up within 15 s.
         ("grpc.keepalive_time_ms", 10_000),

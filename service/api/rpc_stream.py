@@ -7,19 +7,25 @@ frame takes the place of the one that waits, which is answered `skipped` at once
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import time
+from collections import Counter
 from collections.abc import AsyncIterator, Awaitable, Callable
 from dataclasses import dataclass, field
 
-from service.api.context import log_error
+from service.api.context import log_done, log_error
 from service.api.generated import deformation_pb2 as pb
 from service.api.handler import Handler
+from service.api.rpc_call import Call
 from service.api.rpc_convert import problem_message
+from service.api.tracing import Span
 from service.core.errors import InvalidRequest
 from service.core.messages import DeformRequest, DeformResult
 from service.scheduler import Answer, Overtaken, Place
 from service.settings import Settings
+
+log = logging.getLogger(__name__)
 
 UNANSWERED = 32
 """Frames read whose response is not yet written. At that number reading pauses: a client that doesn't read its
@@ -27,7 +33,7 @@ responses is held back by HTTP/2's flow control instead of filling the service's
 
 ROUTE = "/physnet.v1.DeformationService/DeformStream#frame"
 
-Respond = Callable[[Answer[DeformResult], DeformRequest, str, float, float], Awaitable[pb.DeformResponse]]
+Respond = Callable[[Answer[DeformResult], DeformRequest, str, float, float, Span], Awaitable[pb.DeformResponse]]
 
 
 @dataclass
@@ -35,12 +41,14 @@ class _Frame:
     """Attributes:
     frame_id: The client's.
     arrived: `time.perf_counter()` when it had arrived whole.
+    span: Of the frame.
     overtaken_by: The frame that took its place, once one has.
     age_ms: Age at the end of each stage.
     """
 
     frame_id: int
     arrived: float
+    span: Span
     overtaken_by: int | None = None
     age_ms: dict[str, float] = field(default_factory=dict)
 
@@ -57,19 +65,21 @@ class FrameStream:
         question: From a message to a request; raises what is wrong with it.
         respond: From an answer to a message.
         write: Sends one response; waits while the client doesn't take any.
-        request_id: Of the stream; those of its frames are this and the frame's id.
+        call: The stream's; its frames have its request id and their own, and belong to its caller's trace.
     """
 
     def __init__(
         self, handler: Handler, settings: Settings, question: Callable[[pb.DeformRequest], DeformRequest],
-        respond: Respond, write: Callable[[pb.DeformStreamResponse], Awaitable[None]], request_id: str,
+        respond: Respond, write: Callable[[pb.DeformStreamResponse], Awaitable[None]], call: Call,
     ) -> None:  # fmt: skip
         self._handler = handler
         self._longest_s = settings.request_deadline_s
         self._question = question
         self._respond = respond
         self._write = write
-        self._request_id = request_id
+        self._request_id = call.request_id
+        self._caller = call.caller
+        self._counts: Counter[str] = Counter()
         self._room = asyncio.Semaphore(UNANSWERED)
         self._outgoing: asyncio.Queue[tuple[_Frame, pb.DeformStreamResponse] | None] = asyncio.Queue()
         self._answering: set[asyncio.Task[None]] = set()
@@ -91,13 +101,18 @@ class FrameStream:
             await writing
         finally:
             place.leave()
+            counts = dict(self._counts)
+            log.info(
+                "stream ended: %s request=%s", counts, self._request_id,
+                extra={"request_id": self._request_id, "frames": counts},
+            )  # fmt: skip
             for task in (reading, writing, *self._answering):
                 task.cancel()
 
     async def _read_all(self, frames: AsyncIterator[pb.DeformStreamRequest], place: Place) -> None:
         await self._room.acquire()
         async for message in frames:
-            frame = _Frame(message.frame_id, time.perf_counter())
+            frame = _Frame(message.frame_id, time.perf_counter(), self._span(message.frame_id))
             try:
                 self._take(message, frame, place)
             except Exception as error:
@@ -137,7 +152,7 @@ class FrameStream:
                 if stage != "total":
                     age_ms += elapsed_ms
                     frame.age_ms[stage] = age_ms
-            response = await self._respond(answered, question, self._id(frame), frame.arrived, parsed)
+            response = await self._respond(answered, question, self._id(frame), frame.arrived, parsed, frame.span)
             frame.reached("encode")
         except Overtaken:
             skipped = pb.Skipped(overtaken_by_frame_id=frame.overtaken_by)
@@ -148,12 +163,16 @@ class FrameStream:
             self._send(frame, pb.DeformStreamResponse(answer=response), "ok")
 
     def _refuse(self, frame: _Frame, error: Exception) -> None:
-        code = log_error(error, self._id(frame))
+        code = log_error(error, self._id(frame), frame.span)
         self._send(frame, pb.DeformStreamResponse(problem=problem_message(error, self._id(frame))), code)
 
     def _send(self, frame: _Frame, response: pb.DeformStreamResponse, code: str) -> None:
         response.frame_id = frame.frame_id
-        self._handler.metrics.request("grpc", ROUTE, code, time.perf_counter() - frame.arrived)
+        elapsed_s = time.perf_counter() - frame.arrived
+        self._counts[code] += 1
+        self._handler.metrics.request("grpc", ROUTE, code, elapsed_s)
+        frame.span.end(code)
+        log_done("grpc", ROUTE, code, elapsed_s, self._id(frame), frame.span)
         self._outgoing.put_nowait((frame, response))
 
     async def _write_all(self) -> None:
@@ -163,6 +182,13 @@ class FrameStream:
             response.age_ms.update(frame.age_ms)
             await self._write(response)
             self._room.release()
+
+    def _span(self, frame_id: int) -> Span:
+        attributes = {
+            "rpc.system": "grpc", "physnet.request_id": f"{self._request_id}/{frame_id}",
+            "physnet.frame_id": str(frame_id),
+        }  # fmt: skip
+        return self._handler.tracer.begin(ROUTE.removeprefix("/"), self._caller, attributes)
 
     def _id(self, frame: _Frame) -> str:
         return f"{self._request_id}/{frame.frame_id}"

@@ -16,7 +16,7 @@ Vector = tuple[float, float, float]
 Row = tuple[float, float, float, float]
 Matrix = tuple[Row, Row, Row, Row]
 
-Output = Literal["reconstruction", "deformed", "probability", "displacement"]
+Output = Literal["reconstruction", "deformed", "probability", "displacement", "scene"]
 
 
 # Decoded while the JSON is parsed, which is four times as fast as a string decoded afterwards.
@@ -108,7 +108,7 @@ class DeformBody(_Request):
     """A depth frame (or a known shape), what the object is made of, and the pushes to try on it."""
 
     camera: CameraBody | None = Field(None, description="Needed with `depth`.")
-    depth: DepthBody | None = Field(None, description="Exactly one of `depth` and `shape`.")
+    depth: DepthBody | None = Field(None, description="Exactly one of `depth`, `shape` and `reconstruction_id`.")
     mask: MaskBody | None = Field(None, description="Pixels of the object; null to find it.")
     up: tuple[AnyFloat, AnyFloat, AnyFloat] | None = Field(
         None, description="Direction against gravity in the camera frame, any length; null to find the support plane."
@@ -116,14 +116,25 @@ class DeformBody(_Request):
     roi: tuple[int, int, int, int] | None = Field(
         None, description="(u, v, width, height) in pixels in which the object is searched; null for the whole image."
     )
-    shape: ShapeBody | None = Field(None, description="Exactly one of `depth` and `shape`.")
+    shape: ShapeBody | None = Field(None, description="Exactly one of `depth`, `shape` and `reconstruction_id`.")
+    reconstruction_id: str | None = Field(
+        None,
+        min_length=1,
+        max_length=64,
+        description="Exactly one of `depth`, `shape` and `reconstruction_id`: that of an earlier reply, whose body is "
+        "asked again. Kept for a bounded time and memory; once it is gone the error is `reconstruction_gone`.",
+    )
     material: MaterialBody
     loads: list[LoadBody] = Field(min_length=1, description="Each is answered on its own.")
     outputs: list[Output] = Field(
         default=["reconstruction", "deformed"], description="Which grids and fields the reply carries."
     )
     threshold: float | None = Field(
-        None, gt=0.0, lt=1.0, description="Occupancy probability above which a voxel is filled; null for the models'."
+        None,
+        gt=0.0,
+        lt=1.0,
+        description="Occupancy probability above which a voxel is filled; null for the models'. With "
+        "`reconstruction_id` it is of the deformed shapes alone.",
     )
     uncertainty_samples: int = Field(
         0, ge=0, le=64, description="Latent samples behind the probabilities; 0 for the mean alone."
@@ -168,6 +179,13 @@ class DisplacementReply(BaseModel):
     data: str = Field(description="Base64.")
 
 
+class SceneReply(BaseModel):
+    """The surfaces, metres in the camera's frame: nodes `reconstruction` and `load <i>`, coloured by displacement."""
+
+    encoding: Literal["glb"] = Field(description="Binary glTF 2.0.")
+    data: str = Field(description="Base64.")
+
+
 class LoadReply(BaseModel):
     """The answer to one push."""
 
@@ -184,6 +202,9 @@ class DeformReply(BaseModel):
     """The object's full shape and the shapes it takes; grids that were not asked for are absent."""
 
     request_id: str
+    reconstruction_id: str | None = Field(
+        None, description="Asks for the same body again; absent where the service keeps none."
+    )
     model: ModelReply
     grid: GridReply
     observed: BitsReply | None = Field(None, description="Voxels seen by the camera; absent for a known shape.")
@@ -191,6 +212,7 @@ class DeformReply(BaseModel):
     reconstruction_probability: ProbabilityReply | None = None
     loads: list[LoadReply] = Field(description="In the order of the request.")
     flags: list[str]
+    scene: SceneReply | None = None
     timing_ms: dict[str, float] = Field(description="Wall time of each stage.")
 
 

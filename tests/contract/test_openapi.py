@@ -31,6 +31,7 @@ CODES = {
     "material_out_of_range": 422,
     "unknown_material": 422,
     "unknown_model": 404,
+    "reconstruction_gone": 410,
     "payload_too_large": 413,
     "unauthenticated": 401,
     "overloaded": 503,
@@ -111,7 +112,7 @@ def test_the_routes_of_the_design_are_there(api):
     content = api["paths"]["/v1/deform"]["post"]["requestBody"]["content"]
     assert set(content) == {"application/json", "multipart/form-data"}
     reply = api["paths"]["/v1/deform"]["post"]["responses"]["200"]["content"]
-    assert set(reply) == {"application/json", "application/x-npz"}
+    assert set(reply) == {"application/json", "application/x-npz", "model/gltf-binary"}
 
 
 def test_every_field_of_a_request_is_explained(api):

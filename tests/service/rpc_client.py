@@ -112,6 +112,10 @@ def document(response: pb.DeformResponse) -> dict[str, Any]:
         "flags": list(response.flags),
         "timing_ms": dict(response.timing_ms),
     }
+    if response.HasField("reconstruction_id"):
+        found["reconstruction_id"] = response.reconstruction_id
+    if response.HasField("scene"):
+        found["scene"] = {"encoding": "glb", "data": _b64(response.scene)}
     for name in ("observed", "reconstruction", "reconstruction_probability"):
         if response.HasField(name):
             found[name] = _grid(getattr(response, name))

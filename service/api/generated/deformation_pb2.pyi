@@ -30,7 +30,7 @@ MASK_ENCODING_UNSPECIFIED: MaskEncoding
 MASK_ENCODING_PNG8: MaskEncoding
 
 class DeformRequest(_message.Message):
-    __slots__ = ("camera", "depth", "mask", "up", "roi", "shape", "material", "loads", "outputs", "threshold", "uncertainty_samples")
+    __slots__ = ("camera", "depth", "mask", "up", "roi", "shape", "material", "loads", "outputs", "threshold", "uncertainty_samples", "reconstruction_id")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     DEPTH_FIELD_NUMBER: _ClassVar[int]
     MASK_FIELD_NUMBER: _ClassVar[int]
@@ -42,6 +42,7 @@ class DeformRequest(_message.Message):
     OUTPUTS_FIELD_NUMBER: _ClassVar[int]
     THRESHOLD_FIELD_NUMBER: _ClassVar[int]
     UNCERTAINTY_SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    RECONSTRUCTION_ID_FIELD_NUMBER: _ClassVar[int]
     camera: Camera
     depth: DepthImage
     mask: MaskImage
@@ -53,7 +54,8 @@ class DeformRequest(_message.Message):
     outputs: Outputs
     threshold: float
     uncertainty_samples: int
-    def __init__(self, camera: _Optional[_Union[Camera, _Mapping]] = ..., depth: _Optional[_Union[DepthImage, _Mapping]] = ..., mask: _Optional[_Union[MaskImage, _Mapping]] = ..., up: _Optional[_Union[Vector3, _Mapping]] = ..., roi: _Optional[_Union[Region, _Mapping]] = ..., shape: _Optional[_Union[KnownShape, _Mapping]] = ..., material: _Optional[_Union[Material, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[Load, _Mapping]]] = ..., outputs: _Optional[_Union[Outputs, _Mapping]] = ..., threshold: _Optional[float] = ..., uncertainty_samples: _Optional[int] = ...) -> None: ...
+    reconstruction_id: str
+    def __init__(self, camera: _Optional[_Union[Camera, _Mapping]] = ..., depth: _Optional[_Union[DepthImage, _Mapping]] = ..., mask: _Optional[_Union[MaskImage, _Mapping]] = ..., up: _Optional[_Union[Vector3, _Mapping]] = ..., roi: _Optional[_Union[Region, _Mapping]] = ..., shape: _Optional[_Union[KnownShape, _Mapping]] = ..., material: _Optional[_Union[Material, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[Load, _Mapping]]] = ..., outputs: _Optional[_Union[Outputs, _Mapping]] = ..., threshold: _Optional[float] = ..., uncertainty_samples: _Optional[int] = ..., reconstruction_id: _Optional[str] = ...) -> None: ...
 
 class Camera(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height", "distortion")
@@ -156,19 +158,21 @@ class Load(_message.Message):
     def __init__(self, force_n: _Optional[_Union[Vector3, _Mapping]] = ..., contact_m: _Optional[_Union[Vector3, _Mapping]] = ..., contact_px: _Optional[_Union[Pixel, _Mapping]] = ..., patch_radius_m: _Optional[float] = ...) -> None: ...
 
 class Outputs(_message.Message):
-    __slots__ = ("reconstruction", "deformed", "probability", "displacement")
+    __slots__ = ("reconstruction", "deformed", "probability", "displacement", "scene")
     RECONSTRUCTION_FIELD_NUMBER: _ClassVar[int]
     DEFORMED_FIELD_NUMBER: _ClassVar[int]
     PROBABILITY_FIELD_NUMBER: _ClassVar[int]
     DISPLACEMENT_FIELD_NUMBER: _ClassVar[int]
+    SCENE_FIELD_NUMBER: _ClassVar[int]
     reconstruction: bool
     deformed: bool
     probability: bool
     displacement: bool
-    def __init__(self, reconstruction: bool = ..., deformed: bool = ..., probability: bool = ..., displacement: bool = ...) -> None: ...
+    scene: bool
+    def __init__(self, reconstruction: bool = ..., deformed: bool = ..., probability: bool = ..., displacement: bool = ..., scene: bool = ...) -> None: ...
 
 class DeformResponse(_message.Message):
-    __slots__ = ("request_id", "model", "grid", "observed", "reconstruction", "reconstruction_probability", "loads", "flags", "timing_ms")
+    __slots__ = ("request_id", "model", "grid", "observed", "reconstruction", "reconstruction_probability", "loads", "flags", "timing_ms", "reconstruction_id", "scene")
     class TimingMsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -185,6 +189,8 @@ class DeformResponse(_message.Message):
     LOADS_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
     TIMING_MS_FIELD_NUMBER: _ClassVar[int]
+    RECONSTRUCTION_ID_FIELD_NUMBER: _ClassVar[int]
+    SCENE_FIELD_NUMBER: _ClassVar[int]
     request_id: str
     model: ModelName
     grid: Grid
@@ -194,7 +200,9 @@ class DeformResponse(_message.Message):
     loads: _containers.RepeatedCompositeFieldContainer[LoadResult]
     flags: _containers.RepeatedScalarFieldContainer[str]
     timing_ms: _containers.ScalarMap[str, float]
-    def __init__(self, request_id: _Optional[str] = ..., model: _Optional[_Union[ModelName, _Mapping]] = ..., grid: _Optional[_Union[Grid, _Mapping]] = ..., observed: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., reconstruction: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., reconstruction_probability: _Optional[_Union[ProbabilityGrid, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[LoadResult, _Mapping]]] = ..., flags: _Optional[_Iterable[str]] = ..., timing_ms: _Optional[_Mapping[str, float]] = ...) -> None: ...
+    reconstruction_id: str
+    scene: bytes
+    def __init__(self, request_id: _Optional[str] = ..., model: _Optional[_Union[ModelName, _Mapping]] = ..., grid: _Optional[_Union[Grid, _Mapping]] = ..., observed: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., reconstruction: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., reconstruction_probability: _Optional[_Union[ProbabilityGrid, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[LoadResult, _Mapping]]] = ..., flags: _Optional[_Iterable[str]] = ..., timing_ms: _Optional[_Mapping[str, float]] = ..., reconstruction_id: _Optional[str] = ..., scene: _Optional[bytes] = ...) -> None: ...
 
 class ModelName(_message.Message):
     __slots__ = ("name", "version")

@@ -6,7 +6,8 @@ from service.api.generated import deformation_pb2 as physnet_dot_v1_dot_deformat
 
 
 class DeformationServiceStub(object):
-    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads.
+    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads. What was
+    reconstructed once may be asked again by its id.
 
     Errors carry, in `grpc-status-details-bin`, a google.rpc.Status with a Problem and, where they apply,
     google.rpc.ErrorInfo, BadRequest (field paths), RetryInfo and RequestInfo. Metadata `x-request-id` is taken and sent
@@ -42,7 +43,8 @@ class DeformationServiceStub(object):
 
 
 class DeformationServiceServicer(object):
-    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads.
+    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads. What was
+    reconstructed once may be asked again by its id.
 
     Errors carry, in `grpc-status-details-bin`, a google.rpc.Status with a Problem and, where they apply,
     google.rpc.ErrorInfo, BadRequest (field paths), RetryInfo and RequestInfo. Metadata `x-request-id` is taken and sent
@@ -111,7 +113,8 @@ def add_DeformationServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class DeformationService(object):
-    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads.
+    """Predicts how a soft object deforms, from one depth frame (or a known shape), a material and loads. What was
+    reconstructed once may be asked again by its id.
 
     Errors carry, in `grpc-status-details-bin`, a google.rpc.Status with a Problem and, where they apply,
     google.rpc.ErrorInfo, BadRequest (field paths), RetryInfo and RequestInfo. Metadata `x-request-id` is taken and sent
