@@ -37,8 +37,8 @@ def question_of(given: argparse.Namespace) -> Question:
     return Question(
         source=depth,
         camera=camera,
-        pushes=(_push(given, camera),),
-        material=_material(given.material),
+        pushes=(push_of(given, camera),),
+        material=material_of(given.material),
         mask=Image("png8", given.mask.read_bytes()) if given.mask else None,
         up=_three("--up", given.up) if given.up else None,
         outputs=OUTPUTS,
@@ -101,7 +101,8 @@ def _camera(intrinsics: str, known: dict[str, Any], depth: Image) -> Camera:
     return Camera.from_json(known)
 
 
-def _material(text: str) -> str | tuple[float, float]:
+def material_of(text: str) -> str | tuple[float, float]:
+    """`--material`: a name, or Young's modulus in Pa and Poisson's ratio."""
     if "," not in text:
         return text
     e_pa, nu = numbers("--material", text, (2,))
@@ -113,7 +114,8 @@ def _three(option: str, text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _push(given: argparse.Namespace, camera: Camera) -> Push:
+def push_of(given: argparse.Namespace, camera: Camera) -> Push:
+    """`--press`, `--force`, `--direction` and `--patch-radius-m` on a camera's image."""
     from service.client.question import Push
 
     press = numbers("--press", given.press, (2, 3))

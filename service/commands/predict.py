@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from service.commands import grammar
+from service.commands import files, grammar
 from service.commands.exits import EPILOG, FAILED, OK, REFUSED, UsageError
 from service.commands.options import FILE, MATERIAL, complete_with, models_options, output_options, settings_of
 from service.commands.terminal import Terminal
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from service.client.question import Question
     from service.client.result import Result
     from service.settings import Settings
-
-SUFFIXES = (".npz", ".ply", ".glb", ".bt", ".binvox")
 
 
 def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -57,7 +55,7 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     complete_with(
         parser.add_argument(
             "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
-            help=f"write the answer, as its suffix says: {' '.join(SUFFIXES)}; may be given again",
+            help=f"write the answer, as its suffix says: {' '.join(files.SUFFIXES)}; may be given again",
         ),
         FILE,
     )  # fmt: skip
@@ -72,8 +70,8 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 def _run(given: argparse.Namespace) -> int:
     terminal = Terminal(given.color)
     for path in given.output:
-        if path.suffix not in SUFFIXES:
-            raise UsageError(f"--output: {path} must end in one of {' '.join(SUFFIXES)}")
+        if path.suffix not in files.SUFFIXES:
+            raise UsageError(f"--output: {path} must end in one of {' '.join(files.SUFFIXES)}")
     from service.api.problem import ValidationFailed
 
     settings = settings_of(given)
@@ -91,7 +89,7 @@ def _run(given: argparse.Namespace) -> int:
         raise
     except (PhysNetError, ValidationFailed) as error:
         return _tell_refusal(error, given.json, terminal)
-    written = [result.save(path) for path in given.output]
+    written = [files.write(result, path) for path in given.output]
     if given.picture:
         given.picture.write_bytes(_picture(question, result))
         written.append(given.picture)
