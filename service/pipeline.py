@@ -296,8 +296,13 @@ def _moved(
 ) -> LoadResult:
     """The network's answer in metres."""
     deformed = probability > threshold
-    displacement_m = np.where(deformed, displacement * np.float32(body.grid.edge_m), np.float32(0.0))
-    lengths_m = np.sqrt((displacement_m[:, deformed] ** 2).sum(axis=0))
+    # A body fills a tenth of its grid: its voxels are gathered rather than all of them masked.
+    inside = np.flatnonzero(deformed)
+    moved_m = displacement.reshape(3, -1).take(inside, axis=1) * np.float32(body.grid.edge_m)
+    lengths_m = np.sqrt(np.square(moved_m).sum(axis=0))
+    displacement_m = np.zeros_like(displacement)
+    for component, moved in zip(displacement_m.reshape(3, -1), moved_m, strict=True):
+        component[inside] = moved
     sides = (deformed[[0, -1]], deformed[:, [0, -1]], deformed[:, :, -1])
     flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())
     return LoadResult(

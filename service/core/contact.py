@@ -64,9 +64,9 @@ def surface_voxels(occupancy: Occupancy) -> Occupancy:
     inner = cv2.erode(columns, np.ones((1, 3), np.uint8)).view(np.bool_).reshape(occupancy.shape)
     inner[:, :, [0, -1]] = False
     for axis in (0, 1):
-        before = (slice(None),) * axis
-        inner[(*before, slice(None, -1))] &= occupancy[(*before, slice(1, None))]
-        inner[(*before, slice(1, None))] &= occupancy[(*before, slice(None, -1))]
-        inner[(*before, [0, -1])] = False
+        inside, beside = np.moveaxis(inner, axis, 0), np.moveaxis(occupancy, axis, 0)
+        inside[:-1] &= beside[1:]
+        inside[1:] &= beside[:-1]
+        inside[[0, -1]] = False
     surface: Occupancy = occupancy & ~inner
     return surface

@@ -36,13 +36,13 @@ def trilinear(field: Float32[np.ndarray, "x y z"], x: Places, y: Places, z: Plac
     below *= np.float32(rows)
     below += _clipped(y, rows)
     row, column = (places.reshape(-1, places.shape[2]) for places in (below, _clipped(z, columns)))
-    lower = cv2.remap(atlas, column, row, cv2.INTER_LINEAR)
+    lower = np.asarray(cv2.remap(atlas, column, row, cv2.INTER_LINEAR), np.float32)
     row += np.float32(rows)
-    values = cv2.remap(atlas, column, row, cv2.INTER_LINEAR)
+    values = np.asarray(cv2.remap(atlas, column, row, cv2.INTER_LINEAR), np.float32)
     values -= lower
     values *= weight.reshape(row.shape)
     values += lower
-    return np.asarray(values.reshape(x.shape), np.float32)
+    return values.reshape(x.shape)
 
 
 def stacked(
@@ -113,6 +113,6 @@ def _reached(first: int, end: int, displacement: Places) -> Range:
 
 def _box(occupancy: Occupancy) -> tuple[Range, Range, Range]:
     """The voxels between the outermost filled ones."""
-    rows, columns = occupancy.any(axis=0), occupancy.any(axis=(1, 2))
-    x, y, z = (np.flatnonzero(shown) for shown in (columns, rows.any(axis=1), rows.any(axis=0)))
+    other_axes = ((1, 2), (0, 2), (0, 1))
+    x, y, z = (np.flatnonzero(np.any(occupancy, axis=axes)) for axes in other_axes)
     return (int(x[0]), int(x[-1]) + 1), (int(y[0]), int(y[-1]) + 1), (int(z[0]), int(z[-1]) + 1)

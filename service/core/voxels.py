@@ -157,11 +157,10 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     columns = occupancy.view(np.uint8).reshape(-1, GRID_SIZE)
     near = cv2.dilate(columns, np.ones((1, 3), np.uint8)).view(np.bool_).reshape(occupancy.shape)
     for axis in (1, 0):
-        before = (slice(None),) * axis
-        lower, upper = (*before, slice(None, -1)), (*before, slice(1, None))
         wider = near.copy()
-        wider[lower] |= near[upper]
-        wider[upper] |= near[lower]
+        there, here = np.moveaxis(wider, axis, 0), np.moveaxis(near, axis, 0)
+        there[:-1] |= here[1:]
+        there[1:] |= here[:-1]
         near = wider
     covered: Occupancy = occupancy | (observed & ~near)
     return covered
@@ -183,4 +182,4 @@ def _percentile(ascending: Float32[np.ndarray, "axis=3 n"], percentile: float) -
     below = int(place)
     above = min(below + 1, ascending.shape[1] - 1)
     share = place - below
-    return (1.0 - share) * ascending[:, below].astype(np.float64) + share * ascending[:, above]
+    return np.asarray((1.0 - share) * ascending[:, below] + share * ascending[:, above], np.float64)
