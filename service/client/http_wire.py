@@ -90,7 +90,7 @@ def _shape(shape: Shape) -> dict[str, Any]:
     }
 
 
-def _material(material: str | tuple[float, float]) -> dict[str, Any]:
+def _material(material: str | tuple[float | int, float | int]) -> dict[str, Any]:
     if isinstance(material, str):
         return {"name": material}
     return dict(zip(("young_modulus_pa", "poisson_ratio"), (float(number) for number in material), strict=True))

@@ -18,7 +18,7 @@ OUTPUTS: tuple[Output, ...] = ("reconstruction", "deformed", "probability", "dis
 DEFAULT_OUTPUTS: tuple[Output, ...] = ("reconstruction", "deformed", "displacement")
 """What `Result` needs for all of its methods."""
 
-Triple: TypeAlias = Sequence[float] | np.ndarray
+Triple: TypeAlias = Sequence[float | int] | np.ndarray
 """Three numbers."""
 
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -91,7 +91,7 @@ class Push:
 
     force_n: Triple
     contact_m: Triple | None = None
-    contact_px: Sequence[float] | None = None
+    contact_px: Sequence[float | int] | np.ndarray | None = None
     patch_radius_m: float | None = None
 
 
@@ -122,7 +122,7 @@ class Shape:
 
 
 Depth: TypeAlias = np.ndarray | Image | str | Path
-MaterialLike: TypeAlias = str | Material | tuple[float, float]
+MaterialLike: TypeAlias = str | Material | tuple[float | int, float | int]
 
 
 @dataclass(frozen=True)
@@ -135,7 +135,7 @@ class Question:
     source: Image | Shape
     camera: Camera | None
     pushes: tuple[Push, ...]
-    material: str | tuple[float, float]
+    material: str | tuple[float | int, float | int]
     mask: Image | None = None
     up: tuple[float, float, float] | None = None
     roi: tuple[int, int, int, int] | None = None
@@ -159,7 +159,7 @@ class Options(TypedDict, total=False):
 
     mask: np.ndarray | Image | None
     up: Triple | None
-    roi: Sequence[int] | None
+    roi: Sequence[int] | np.ndarray | None
     unit_m: float | None
     outputs: Iterable[Output]
     threshold: float | None
@@ -256,6 +256,6 @@ def triple(vector: Triple) -> tuple[float, float, float]:
     return x, y, z
 
 
-def _roi(roi: Sequence[int]) -> tuple[int, int, int, int]:
+def _roi(roi: Sequence[int] | np.ndarray) -> tuple[int, int, int, int]:
     u, v, width, height = (int(number) for number in roi)
     return u, v, width, height

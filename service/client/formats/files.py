@@ -7,10 +7,12 @@ import json
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from service.client.formats.binvox import encode_binvox
+from service.client.formats.glb import encode_glb
 from service.client.formats.octomap import encode_octomap
 from service.client.formats.ply import encode_ply
 from service.client.result import Layer, Result
@@ -44,13 +46,15 @@ def save(result: Result, path: Path, layer: Layer = "deformed", push: int = 0) -
 
 def npz(result: Result) -> bytes:
     """All there is, as the service's own archive (`Accept: application/x-npz`) has it; loads along the first axis."""
-    meta = {
+    meta: dict[str, Any] = {
         "request_id": result.request_id,
         "model": dict(zip(("name", "version"), result.model, strict=True)),
         "flags": sorted(result.flags),
         "load_flags": [sorted(push.flags) for push in result],
         "timing_ms": result.timing_ms,
     }
+    if result.reconstruction_id is not None:
+        meta["reconstruction_id"] = result.reconstruction_id
     arrays: dict[str, np.ndarray | None] = {
         "meta": np.array(json.dumps(meta)),
         "voxel_size_m": np.array(result.grid.pitch_m),
@@ -130,6 +134,7 @@ def binvox(result: Result, layer: Layer = "deformed", push: int = 0) -> bytes:
 _WRITERS: dict[str, Callable[[Result, Layer, int], bytes]] = {
     ".npz": lambda result, layer, push: npz(result),
     ".ply": ply,
+    ".glb": lambda result, layer, push: encode_glb(result),
     ".bt": octomap,
     ".binvox": binvox,
 }

@@ -5,9 +5,10 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
+import httpx
 import numpy as np
 import pytest
 
@@ -53,6 +54,13 @@ def react(request: Any) -> None:
 def service() -> Iterator[Running]:
     with running(FakePredictor(react), max_loads=4) as service:
         yield service
+
+
+def until(condition: Callable[[], bool], timeout_s: float = 20.0) -> bool:
+    end = time.monotonic() + timeout_s
+    while not (found := condition()) and time.monotonic() < end:
+        time.sleep(0.02)
+    return found
 
 
 class Blocking:
@@ -162,22 +170,12 @@ def test_a_known_shape_is_answered(client, service):
         _ = result.observed
 
 
-@pytest.mark.parametrize("kind", ["png16", "npy", "32FC1; compressedDepth rvl"])
-def test_bytes_go_as_they_came(client, service, kind):
-    with pytest.raises(core_errors.InvalidFrame) if "rvl" in kind else _nothing():
-        client.deform(Image(kind, b"\x00" * 40, 0.001), CAMERA, PUSH, SOFT)
-        depth = service.predictor.asked[-1].source.depth
-        # The fake predictor decodes nothing, so what arrived is what was sent.
-        assert (depth.encoding, depth.data) == (kind, b"\x00" * 40)
-        raise core_errors.InvalidFrame("as the real pipeline would") if "rvl" in kind else _Done
-
-
-class _Done(Exception):
-    pass
-
-
-def _nothing() -> Any:
-    return pytest.raises(_Done)
+@pytest.mark.parametrize("encoding", ["png16", "npy", "compressedDepth", "32FC1; compressedDepth rvl"])
+def test_bytes_go_as_they_came(client, service, encoding):
+    client.deform(Image(encoding, b"\x00\x01" * 20, 0.002), CAMERA, PUSH, SOFT)
+    depth = service.predictor.asked[-1].source.depth
+    # The fake predictor decodes nothing, so what arrived is what was sent.
+    assert (depth.encoding, depth.data, depth.unit_m) == (encoding, b"\x00\x01" * 20, 0.002)
 
 
 def test_a_problem_is_raised_as_its_class_with_code_and_field(client):
@@ -231,7 +229,7 @@ def test_a_full_queue_is_tried_again_when_it_says_so(kind):
         threads[0].start()
         assert entered.acquire(timeout=10)
         threads[1].start()
-        time.sleep(0.3)
+        assert until(lambda: "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text)
         with KINDS[kind](url(service, kind), retry=ONCE) as client:
             began = time.monotonic()
             with pytest.raises(Overloaded) as caught:
@@ -303,7 +301,8 @@ def test_a_service_that_is_being_started_is_waited_for(kind):
     try:
         wire, port = ("grpc", PORTS[1]) if kind.startswith("grpc") else ("http", PORTS[0])
         with KINDS[kind](f"{wire}://127.0.0.1:{port}") as client:
-            with pytest.raises(DeadlineExceeded) if False else pytest.raises(core_errors.PhysNetError):
+            # The one error after a pause that would have lasted beyond the deadline, the other without.
+            with pytest.raises((DeadlineExceeded, Overloaded, ServiceUnreachable)):
                 client.wait_until_ready(timeout_s=0.5)
             built.set()
             client.wait_until_ready(timeout_s=20.0)
@@ -363,7 +362,7 @@ def test_what_is_no_service_is_named(tmp_path):
 
 @pytest.mark.parametrize("url", ["127.0.0.1:8000", "ftp://robot", "grpc://robot", "http://"])
 def test_an_address_that_is_none_is_refused_at_once(url):
-    with pytest.raises(ValueError, match="grpc://HOST:PORT|ready line"):
+    with pytest.raises(ValueError, match=r"grpc://HOST:PORT|ready line"):
         PhysNetClient(url)
 
 
