@@ -6,16 +6,14 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 from fastapi import FastAPI, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import FileResponse, JSONResponse
+from fastapi.responses import JSONResponse
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
-from starlette.staticfiles import StaticFiles
 
 from service.api import convert, openapi
 from service.api.body import read_body, read_multipart
@@ -28,6 +26,7 @@ from service.api.oip_rest import create_oip
 from service.api.problem import MEDIA_TYPE, document, field_path, problem_bytes
 from service.api.scene import scene_glb
 from service.api.schemas import MaterialReply, MaterialsReply
+from service.api.site import add_site
 from service.api.status import meanings
 from service.core.errors import InvalidRequest, Overloaded
 from service.core.materials import search_materials
@@ -41,8 +40,6 @@ JSON = "application/json"
 
 DEADLINE_HEADER = "X-Deadline-Ms"
 """Milliseconds from a request's arrival after which its answer is of no use to the robot."""
-
-_WEB = Path(__file__).resolve().parent.parent / "web"
 
 T = TypeVar("T")
 
@@ -68,6 +65,7 @@ def create_http(handler: Handler, settings: Settings, models: Models | None = No
         create_oip(models or Models(handler, settings.max_loads), settings, openapi.API_VERSION)
     )
     app.include_router(create_live(handler, settings))
+    add_site(app)
     app.openapi = lambda: openapi.document(app, secured=token is not None)  # type: ignore[method-assign]
     return app
 
@@ -243,16 +241,6 @@ def _add_operations(app: FastAPI, handler: Handler) -> None:
             raise HTTPException(404, f"No error has the code {code[:80]!r}.")
         status = known[code]
         return {"code": code, "http": status.http, "grpc": status.grpc, "meaning": status.meaning}
-
-    @app.get("/", include_in_schema=False)
-    async def index() -> FileResponse:
-        return FileResponse(_WEB / "index.html")
-
-    @app.get("/docs", include_in_schema=False)
-    async def docs() -> FileResponse:
-        return FileResponse(_WEB / "docs.html")
-
-    app.mount("/web", StaticFiles(directory=_WEB), name="web")
 
 
 async def _http_exception(request: Request, error: Exception) -> Response:

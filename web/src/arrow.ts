@@ -1,6 +1,6 @@
 /** The force in the 3D view: an arrow whose tip is on the contact and whose tail can be dragged. */
 
-import { ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, SphereGeometry, Vector2, Vector3 } from "three";
+import { ConeGeometry, CylinderGeometry, Group, Mesh, MeshBasicMaterial, MeshLambertMaterial, Plane, Raycaster, SphereGeometry, Vector2, Vector3 } from "three";
 import type { Stage } from "./stage";
 
 const LENGTH = 0.42;
@@ -8,7 +8,7 @@ const REACH_PX = 24;
 
 export class Arrow {
   readonly #group = new Group();
-  readonly #material = new MeshBasicMaterial();
+  readonly #material = new MeshLambertMaterial({ emissiveIntensity: 0.45 });
   readonly #through = new MeshBasicMaterial({ transparent: true, opacity: 0.3, depthTest: false });
   readonly #direction = new Vector3(0, 0, -1);
 
@@ -19,9 +19,9 @@ export class Arrow {
     onTurn: (direction: Vector3) => void,
   ) {
     // Built along +y with its tip at the origin.
-    const head = new ConeGeometry(0.021, 0.066, 24).translate(0, -0.033, 0);
-    const shaft = new CylinderGeometry(0.0065, 0.0065, LENGTH - 0.07, 16).translate(0, -0.066 - (LENGTH - 0.07) / 2, 0);
-    const tail = new SphereGeometry(0.017, 24, 16).translate(0, -LENGTH, 0);
+    const head = new ConeGeometry(0.022, 0.08, 32).translate(0, -0.04, 0);
+    const shaft = new CylinderGeometry(0.0065, 0.0065, LENGTH - 0.08, 16).translate(0, -0.08 - (LENGTH - 0.08) / 2, 0);
+    const tail = new SphereGeometry(0.015, 24, 16).translate(0, -LENGTH, 0);
     for (const geometry of [head, shaft, tail]) {
       const hidden = new Mesh(geometry, this.#through);
       hidden.renderOrder = 5;
@@ -44,6 +44,7 @@ export class Arrow {
 
   set colour(css: string) {
     this.#material.color.set(css);
+    this.#material.emissive.set(css);
     this.#through.color.set(css);
   }
 

@@ -90,8 +90,12 @@ export class Motion {
     const cx = clamp((x - this.#origin[0]) / COARSE - 0.5, nx - 1);
     const cy = clamp((y - this.#origin[1]) / COARSE - 0.5, ny - 1);
     const cz = clamp((z - this.#origin[2]) / COARSE - 0.5, nz - 1);
-    const [ix, iy, iz] = [Math.min(cx | 0, nx - 2), Math.min(cy | 0, ny - 2), Math.min(cz | 0, nz - 2)];
-    const [fx, fy, fz] = [cx - ix, cy - iy, cz - iz];
+    const ix = Math.min(cx | 0, nx - 2);
+    const iy = Math.min(cy | 0, ny - 2);
+    const iz = Math.min(cz | 0, nz - 2);
+    const fx = cx - ix;
+    const fy = cy - iy;
+    const fz = cz - iz;
     let at = (ix * ny + iy) * nz + iz;
     const count = nx * ny * nz;
     const cells = this.#cells;
@@ -192,9 +196,13 @@ function extrapolated(stored: Int16Array, [nx, ny, nz]: [number, number, number]
 
 /** Values between lattice points; 0 beyond the lattice. */
 function trilinear(values: Float32Array, nx: number, ny: number, nz: number, x: number, y: number, z: number): number {
-  const [ix, iy, iz] = [Math.floor(x), Math.floor(y), Math.floor(z)];
+  const ix = Math.floor(x);
+  const iy = Math.floor(y);
+  const iz = Math.floor(z);
   if (ix < -1 || iy < -1 || iz < -1 || ix >= nx || iy >= ny || iz >= nz) return 0;
-  const [fx, fy, fz] = [x - ix, y - iy, z - iz];
+  const fx = x - ix;
+  const fy = y - iy;
+  const fz = z - iz;
   const at = (ix * ny + iy) * nz + iz;
   if (ix >= 0 && iy >= 0 && iz >= 0 && ix < nx - 1 && iy < ny - 1 && iz < nz - 1) {
     const next = at + ny * nz;

@@ -102,7 +102,8 @@ export class Controls {
     const entry = this.#materials.get(name);
     this.#select.value = entry ? name : "";
     this.modulus.mark(entry ? entry.young_modulus_range_pa : null);
-    need("#material-about").textContent = entry ? `${capital(entry.description)}. ${entry.source}` : "";
+    const about = entry ? `${capital(entry.description)}. ${entry.source}` : "";
+    Object.assign(need("#material-about"), { textContent: about, title: about });
     if (!entry) return;
     this.modulus.value = entry.young_modulus_pa;
     this.poisson.value = entry.poisson_ratio;

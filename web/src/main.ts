@@ -125,15 +125,19 @@ class Playground {
   #setContact(contact: Vec3, done: boolean): void {
     this.#readout.clearProblem();
     this.#contact = contact;
-    this.#pushed();
-    if (done) this.#lookAgain();
+    if (this.#body && this.#isElsewhere(contact)) {
+      this.#showForce();
+      if (done) this.#lookAgain();
+    } else {
+      this.#pushed();
+    }
   }
 
   /** A contact on something else means another object: look for it, once the hand rests. */
   #lookAgain(): void {
     clearTimeout(this.#looking);
     this.#looking = setTimeout(() => {
-      if (this.#contact && this.#body?.observed && this.#isElsewhere(this.#contact)) this.#pushed(true);
+      if (this.#contact && this.#body && this.#isElsewhere(this.#contact)) this.#pushed(true);
     }, SETTLE_MS);
   }
 
@@ -186,11 +190,12 @@ class Playground {
     const frame = this.#frame;
     if (!frame) return;
     this.#readout.link("open", `Live · ${answer.model.name} ${answer.model.version}`);
-    if (answer.parts.rest && (answer.body !== this.#bodyVersion || !this.#body)) {
-      this.#bodyVersion = answer.body;
+    const began = performance.now();
+    if (answer.parts.rest) {
       const body = new Body(answer);
+      this.#view.setBody(body, frame, answer.body !== this.#bodyVersion);
+      this.#bodyVersion = answer.body;
       this.#body = body;
-      this.#view.setBody(body, frame);
       this.#depth.show(frame, (i) => body.holds(pointAt(frame, i % frame.width, Math.floor(i / frame.width))!));
       this.#restyle();
       for (const part of ["#floor", "#reset"]) need(part).hidden = false;
@@ -199,7 +204,7 @@ class Playground {
     if (!this.#body || answer.body !== this.#bodyVersion) return;
     this.#view.setMotion(new Motion(answer.parts.displacement!), answer.max_displacement_m);
     this.#showForce();
-    this.#readout.answer(answer);
+    this.#readout.answer(answer, performance.now() - began);
     this.#readout.legend(this.#view.colouring, this.#view.scaleM);
     const canvas = need("#view");
     canvas.dataset.answers = String(Number(canvas.dataset.answers ?? 0) + 1);

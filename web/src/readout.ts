@@ -26,6 +26,8 @@ const WINDOW_MS = 1000;
 
 export class Readout {
   readonly #notice = need("#notice");
+  /** Whether the problem shown is one of the page, which no answer of the service settles. */
+  #ours = false;
   #times: number[] = [];
   #pause: ReturnType<typeof setTimeout> | undefined;
 
@@ -44,13 +46,15 @@ export class Readout {
     need("span", link).textContent = state === "open" && model ? model : LINK[state];
   }
 
-  answer(answer: Answer): void {
+  /** `pageMs` is what the page itself took to mesh and colour. */
+  answer(answer: Answer, pageMs: number): void {
+    if (!this.#ours) this.clearProblem();
     need("#peak").textContent = mm(answer.max_displacement_m);
     need("#mean").textContent = mm(answer.mean_displacement_m);
     need("#load-number").textContent = answer.load_number === 0 ? "0" : scientific(answer.load_number);
     need("#trip").textContent = `${answer.roundTripMs.toFixed(0)} ms`;
     this.#rate();
-    this.#timing(answer);
+    this.#timing(answer, pageMs);
     need("#flags").replaceChildren(
       ...answer.flags.map((flag) => make("li", { textContent: FLAGS[flag] ?? flag.replaceAll("_", " ") })),
     );
@@ -68,6 +72,7 @@ export class Readout {
 
   problem({ title, detail, code }: Problem): void {
     this.#notice.hidden = false;
+    this.#ours = code === "page";
     need("strong", this.#notice).textContent = `${title}.`;
     need("span", this.#notice).textContent = detail;
     need("form", this.#notice).hidden = code !== "unauthenticated";
@@ -90,7 +95,7 @@ export class Readout {
     this.#pause = setTimeout(() => shown.classList.add("past"), WINDOW_MS);
   }
 
-  #timing({ timing_ms: timing, roundTripMs }: Answer): void {
+  #timing({ timing_ms: timing, roundTripMs }: Answer, pageMs: number): void {
     const stages = STAGES.filter((stage) => (timing[stage] ?? 0) >= 0.05);
     const outside = Math.max(0, roundTripMs - (timing.total ?? 0));
     const bar = stages.map((stage) => {
@@ -107,6 +112,7 @@ export class Readout {
     need("#timing-text").textContent = [
       ...stages.filter((stage) => longest.includes(stage)).map((stage) => `${stage} ${timing[stage]!.toFixed(1)}`),
       `service ${(timing.total ?? 0).toFixed(1)} ms`,
+      `page ${pageMs.toFixed(1)} ms`,
     ].join(" · ");
   }
 }

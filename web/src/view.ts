@@ -82,14 +82,13 @@ export class View {
     return this.body ? this.stage.drawFloor(this.body.edge, colour("--floor")) : 0;
   }
 
-  /** A new body; looks at it from where the camera stood. */
-  setBody(body: Body, frame: Frame): void {
-    const first = this.body === null || this.body.cameraFromGrid !== body.cameraFromGrid;
+  /** A new body; `look` at it from beside the camera, where it is another one. */
+  setBody(body: Body, frame: Frame, look: boolean): void {
     this.body = body;
     this.motion = null;
     this.#showPoints(frame, body);
     this.rebuild();
-    if (first) {
+    if (look) {
       let top = 0;
       for (let i = 2; i < this.restSkin!.positions.length; i += 3) top = Math.max(top, this.restSkin!.positions[i]!);
       this.stage.lookFrom(this.#place(body.toVoxels([0, 0, 0])), (0.5 * top) / GRID);
@@ -190,6 +189,8 @@ export class View {
         colours.push(colour.r, colour.g, colour.b);
       }
     }
+    // On a phone's width the same pixels lie closer.
+    this.#points.material.size = this.canvas.clientWidth < 600 ? 1 : 1.7;
     this.#points.geometry.dispose();
     this.#points.geometry = new BufferGeometry();
     this.#points.geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import io
 import json
+import re
 import socket
 import threading
 import time
@@ -256,11 +257,24 @@ def test_pages_load_nothing_from_elsewhere(client, path):
     assert reply.status_code == 200
     assert reply.headers["content-type"].startswith("text/html")
     # The name of a namespace is no address.
-    page = reply.text.replace("curl -s http://<span", "").replace("http://www.w3.org/2000/svg", "")
+    page = reply.text.replace("http://www.w3.org/2000/svg", "")
     assert "://" not in page, "a robot's network has no way out"
-    for asset in ("/web/style.css",):
-        assert asset in page
+    assets = re.findall(r'(?:src|href)="(/web/[^"]+)"', page)
+    assert assets
+    for asset in assets:
         assert client.get(asset).status_code == 200
+
+
+def test_the_playground_may_load_nothing_from_elsewhere_and_is_never_stale(client):
+    page = client.get("/")
+    assert "default-src 'self'" in page.headers["content-security-policy"]
+    assert page.headers["cache-control"] == "no-cache"
+    (script,) = re.findall(r'src="(/web/assets/[^"]+)"', page.text)
+    assert "immutable" in client.get(script).headers["cache-control"]
+    sample = client.get("/web/samples/mug/depth.png")
+    assert sample.headers["cache-control"] == "no-cache"
+    again = client.get("/web/samples/mug/depth.png", headers={"If-None-Match": sample.headers["etag"]})
+    assert again.status_code == 304
 
 
 def test_every_code_of_a_problem_has_its_page(client):
