@@ -24,17 +24,18 @@ import numpy as np
 from benchmarks.simulator.refinement import plot_refinement
 from service.core.condition import POISSON_RATIO_MAX
 from training.data.body_cube import place_in_body_grid
-from training.data.everyday import SEARCH_SIZE, EverydayConfig, draw_pushes
+from training.data.everyday import EverydayConfig, draw_pushes
 from training.data.samples import LENGTHS_M
 from training.metrics import iou
 from training.simulation.body import Body, BodyError
-from training.simulation.elements import MeanDilatationHexahedron
 from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.families import OPEN_VESSELS, sample_shape
 from training.simulation.force_search import force_for_identity_iou
 from training.simulation.gaps import MAX_NARROW_GAPS, narrow_gaps
 from training.simulation.loads import Load, LoadError
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.newton import solve_neo_hookean
+from training.simulation.overlap import RestOverlap
 from training.simulation.rasterise import Rasterised, Rasteriser
 from training.simulation.shapes import Shape, min_thickness
 from training.simulation.solver import LinearSolver
@@ -86,12 +87,12 @@ def draw_scene(config: EverydayConfig, index: int) -> Scene | str:
     rng.uniform(*np.log(LENGTHS_M))
     try:
         body = Body.from_distance(shape.distance, cells)
-        rough = Rasteriser(body, SEARCH_SIZE)
+        overlap = RestOverlap.of(body)
         push = draw_pushes(config, body, Rasteriser(body).rest, rng)[0]
         linear = LinearSolver(body, poisson_ratio).solve([push.unit])[0]
     except (BodyError, LoadError) as error:
         return error.reason
-    load = force_for_identity_iou(rough, push.unit, linear, float(rng.uniform(*config.identity_iou)))
+    load = force_for_identity_iou(overlap, push.unit, linear, float(rng.uniform(*config.identity_iou)))
     if load is None:
         return "no_force"
     gaps = narrow_gaps(body)

@@ -10,10 +10,11 @@ import numpy as np
 
 from training.data.body_cube import place_in_body_grid
 from training.simulation.body import Body
-from training.simulation.elements import MeanDilatationHexahedron, shape_functions
+from training.simulation.elements import shape_functions
 from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.families import sample_shape
 from training.simulation.loads import Load
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.solver import LinearSolver
 from training.simulation.surface import Distance
 

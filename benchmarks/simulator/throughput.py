@@ -28,19 +28,20 @@ import numpy as np
 
 from service.core.grids import pack_bits
 from training.data.body_cube import place_in_body_grid
-from training.data.everyday import SEARCH_SIZE, EverydayConfig, draw_group
+from training.data.everyday import EverydayConfig, draw_group
 from training.data.fields import coarsen, extend
 from training.data.generate import THREAD_VARIABLES, Dropped
 from training.data.store import Store
 from training.simulation import solver as solver_module
 from training.simulation.body import Body, BodyError
-from training.simulation.elements import MeanDilatationHexahedron
 from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.families import FAMILIES, sample_shape
 from training.simulation.force_search import force_for_identity_iou
-from training.simulation.loads import Load, nodal_forces
+from training.simulation.loads import Load, load_cases
 from training.simulation.material_law import lame
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.newton import solve_neo_hookean
+from training.simulation.overlap import RestOverlap
 from training.simulation.rasterise import Rasteriser
 from training.simulation.sampled import SampledDistance
 from training.simulation.shapes import min_thickness
@@ -109,7 +110,7 @@ def linear_samples(body: Body, count: int, rng: np.random.Generator, make: Calla
     with watch("contacts"):
         contacts, normals = body.surface_points(count, rng)
     with watch("rest"):
-        fine, rough = Rasteriser(body), Rasteriser(body, SEARCH_SIZE)
+        fine, overlap = Rasteriser(body), RestOverlap.of(body)
     with watch("assembly"):  # the factor's time is taken out below
         solver = make(body)
     loads = [
@@ -117,13 +118,13 @@ def linear_samples(body: Body, count: int, rng: np.random.Generator, make: Calla
         for contact, normal in zip(contacts, normals, strict=True)
     ]
     with watch("load"):
-        forces = np.stack([nodal_forces(body, load) for load in loads])
+        forces = load_cases(body, loads)
     with watch("solve"):
         displacements = solver.solve_forces(forces)
     rows = []
     for load, displacement in zip(loads, displacements, strict=True):
         with watch("force search"):
-            found = force_for_identity_iou(rough, load, displacement, float(rng.uniform(0.30, 0.85)))
+            found = force_for_identity_iou(overlap, load, displacement, float(rng.uniform(0.30, 0.85)))
         if found is None:
             counts.dropped += 1
             continue
@@ -132,8 +133,12 @@ def linear_samples(body: Body, count: int, rng: np.random.Generator, make: Calla
         counts.linear += 1
         with watch("pack"):
             columns = {"deformed": pack_bits(result.deformed)}
-            for name, fine_field in (("displacement", result.backward), ("forward", result.forward)):
-                coarse, covered = coarsen(fine_field)
+            fields = {
+                "displacement": (np.flatnonzero(result.deformed), result.moved_here),
+                "forward": (result.at_rest, result.moved_from),
+            }
+            for name, (index, values) in fields.items():
+                coarse, covered = coarsen(index, values)
                 wide, known = extend(coarse, covered > 0)
                 columns[name] = wide[:, known].astype(np.float16)
             rows.append(columns)
@@ -194,13 +199,13 @@ def measure_nonlinear(args: argparse.Namespace, bodies: list[Body]) -> tuple[Sto
         with watch("body"):
             body = Body.from_distance(body.distance.distance, args.cells)
             contacts, normals = body.surface_points(args.nonlinear_loads, rng)
-            fine, rough = Rasteriser(body), Rasteriser(body, SEARCH_SIZE)
+            fine, overlap = Rasteriser(body), RestOverlap.of(body)
             solver = solver_module.LinearSolver(body, float(rng.uniform(0.0, 0.49)), ELEMENTS[args.element])
         for contact, normal in zip(contacts, normals, strict=True):
             load = Load(contact, -normal, 1.0, float(rng.uniform(0.08, 0.20)))
             with watch("linear"):
                 displacement = solver.solve([load])[0]
-                found = force_for_identity_iou(rough, load, displacement, float(rng.uniform(0.30, 0.85)))
+                found = force_for_identity_iou(overlap, load, displacement, float(rng.uniform(0.30, 0.85)))
             if found is None:
                 continue
             with watch("newton"):

@@ -19,12 +19,10 @@ from training.simulation.force_search import force_for_identity_iou
 from training.simulation.gaps import MAX_NARROW_GAPS, narrow_gaps
 from training.simulation.loads import Load, LoadError
 from training.simulation.newton import solve_neo_hookean
+from training.simulation.overlap import RestOverlap
 from training.simulation.rasterise import Rasteriser
-from training.simulation.shapes import min_thickness
+from training.simulation.shapes import Shape, min_thickness
 from training.simulation.solver import LinearSolver
-
-SEARCH_SIZE = 32
-"""Voxels along an edge while the force is searched for."""
 
 YOUNG_MIN_PA = 1e4
 """Softest material drawn, a gel. Only Λ matters, so that this bounds nothing but the numbers recorded."""
@@ -86,9 +84,21 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
     family = config.families[rng.integers(len(config.families))]
     cells = config.vessel_cells if family in OPEN_VESSELS else config.cells
     try:
-        cube = place_in_body_grid(sample_shape(family, rng, cells=cells))
+        shape = sample_shape(family, rng, cells=cells)
     except RuntimeError as error:  # no body of the family stood in as many tries as it is given
         raise Dropped("no_shape") from error
+    return draw_samples(config, family, shape, cells, rng)
+
+
+def draw_samples(
+    config: EverydayConfig, name: str, shape: Shape, cells: int, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """All samples of one body that stands on z = 0, wherever it comes from.
+
+    Raises:
+        Dropped: The body cannot be simulated, or none of its pushes could be solved.
+    """
+    cube = place_in_body_grid(shape)
     if min_thickness(cube.shape) < config.thickness / cells:
         raise Dropped("thin")
     material = Material(
@@ -100,7 +110,7 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
         body = Body.from_distance(cube.shape.distance, cells)
         if narrow_gaps(body) > MAX_NARROW_GAPS:
             raise Dropped("narrow_gap")
-        fine, rough = Rasteriser(body), Rasteriser(body, SEARCH_SIZE)
+        fine, overlap = Rasteriser(body), RestOverlap.of(body)
         pushes = draw_pushes(config, body, fine.rest, rng)
     except BodyError as error:
         raise Dropped(error.reason) from error
@@ -113,7 +123,7 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
             (response,) = respond(solver, [push.unit])
         except LoadError:
             continue
-        load = force_for_identity_iou(rough, push.unit, response.displacement, target)
+        load = force_for_identity_iou(overlap, push.unit, response.displacement, target)
         if load is None:
             continue
         steps = config.fractions
@@ -125,7 +135,7 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
                 samples.append(state.nonlinear(step))
     if not samples:
         raise Dropped("no_solution")
-    return group_of(family, fine.rest, material.edge_m, samples)
+    return group_of(name, fine.rest, material.edge_m, samples)
 
 
 class _Push(NamedTuple):

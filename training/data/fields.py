@@ -26,12 +26,17 @@ Nodes: TypeAlias = Bool[np.ndarray, "x=32 y=32 z=32"]
 
 
 def coarsen(
-    fine: Float32[np.ndarray, "axis=3 x=64 y=64 z=64"],
+    index: Int[np.ndarray, " n"], values: Float32[np.ndarray, "n 3"]
 ) -> tuple[Field, UInt8[np.ndarray, "x=32 y=32 z=32"]]:
-    """Mean of a field (NaN outside the body) over the voxels of each block that lie in the body, and their number."""
+    """Mean of a field over the voxels of each block that lie in the body, and their number.
+
+    Args:
+        index: Places of the body's voxels in the flat grid of 64³.
+        values: The field there.
+    """
     mean = np.zeros((3, *(FIELD_SIZE,) * 3), np.float32)
     covered = np.zeros((FIELD_SIZE,) * 3, np.uint8)
-    _coarsen(fine, mean, covered)
+    _coarsen(index, values, mean, covered)
     return mean, covered
 
 
@@ -64,25 +69,23 @@ def extend(field: Field, known: Nodes, reach: int = REACH) -> tuple[Field, Nodes
 
 @compiled
 def _coarsen(
-    fine: Float32[np.ndarray, "axis=3 x=64 y=64 z=64"],
+    index: Int[np.ndarray, " n"],
+    values: Float32[np.ndarray, "n 3"],
     mean: Field,
     covered: UInt8[np.ndarray, "x=32 y=32 z=32"],
 ) -> None:
+    size = 2 * covered.shape[0]
+    for row in range(len(index)):
+        i, j, k = index[row] // size**2 // 2, index[row] // size % size // 2, index[row] % size // 2
+        covered[i, j, k] += 1
+        for axis in range(3):
+            mean[axis, i, j, k] += values[row, axis]
     for i in range(covered.shape[0]):
         for j in range(covered.shape[1]):
             for k in range(covered.shape[2]):
-                count, x, y, z = 0, np.float32(0.0), np.float32(0.0), np.float32(0.0)
-                for a in range(2 * i, 2 * i + 2):
-                    for b in range(2 * j, 2 * j + 2):
-                        for c in range(2 * k, 2 * k + 2):
-                            if np.isfinite(fine[0, a, b, c]):
-                                count += 1
-                                x += fine[0, a, b, c]
-                                y += fine[1, a, b, c]
-                                z += fine[2, a, b, c]
-                if count > 0:
-                    covered[i, j, k] = count
-                    mean[0, i, j, k], mean[1, i, j, k], mean[2, i, j, k] = x / count, y / count, z / count
+                if covered[i, j, k] > 1:
+                    for axis in range(3):
+                        mean[axis, i, j, k] /= covered[i, j, k]
 
 
 @compiled

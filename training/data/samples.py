@@ -15,7 +15,7 @@ from service.core.grids import pack_bits
 from training.data.fields import Field, Nodes, coarsen, extend, pack_fields, pack_nodes
 from training.metrics import iou
 from training.simulation.clamp import Reaction
-from training.simulation.loads import Load, nodal_forces
+from training.simulation.loads import Load, load_cases
 from training.simulation.rasterise import Rasterised, Rasteriser
 from training.simulation.solution import Solution
 from training.simulation.solver import LinearSolver
@@ -108,8 +108,8 @@ class Sample:
             location: Of the force along the top, as the paper encodes it: which of how many, and from 0 to 1; −1 and
                 NaN where it is anywhere.
         """
-        backward, covered = coarsen(result.backward)
-        forward, at_rest = coarsen(result.forward)
+        backward, covered = coarsen(np.flatnonzero(result.deformed), result.moved_here)
+        forward, at_rest = coarsen(result.at_rest, result.moved_from)
         backward, backward_nodes = extend(backward, covered > 0)
         forward, forward_nodes = extend(forward, at_rest > 0)
         numbers = {
@@ -180,7 +180,7 @@ def respond(solver: LinearSolver, units: Sequence[Load]) -> list[Response]:
     Raises:
         LoadError: A load touches no material.
     """
-    forces = np.stack([nodal_forces(solver.body, unit) for unit in units])
+    forces = load_cases(solver.body, units)
     return [Response(*pair) for pair in zip(forces, solver.solve_forces(forces), strict=True)]
 
 

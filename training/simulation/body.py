@@ -13,17 +13,16 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float64, Int
 from scipy import ndimage
 
+from training.simulation.cell_lookup import DEPTHS, locate, settle
 from training.simulation.clamp import Bed, Clamp, RigidClamp
 from training.simulation.elements import CORNERS, shape_functions
 from training.simulation.sampled import SampledDistance
+from training.simulation.skin import Skin
 from training.simulation.sparsity import SparsityPattern
 from training.simulation.surface import Distance, project_to_surface
 
 MIN_FILL = 0.01
 """Cells holding less material than this are left out: they add stiffness to nothing that a 64³ grid can show."""
-DEPTHS = (1e-4, 0.02, 0.1, 0.3)
-"""How far below the surface, in cell edges, the cell that carries a surface point is looked for: a hair, so that a face
-on the border of two cells belongs to the one with the material, or deeper where that cell holds too little of it."""
 
 
 class BodyError(ValueError):
@@ -135,6 +134,19 @@ class Body:
         """Part of each active cell that holds material."""
         return np.asarray(self.octant_fill.mean(axis=0))
 
+    @cached_property
+    def skin(self) -> tuple[Skin, Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]] | None:
+        """Points all over the surface with the cell of each, see `settle`; None where the shape was not sampled."""
+        if not isinstance(self.distance, SampledDistance) or self.distance.cells != self.cells:
+            return None
+        skin = Skin.of(self.distance)
+        return skin, *self.settle(skin.points, skin.normals)
+
+    @cached_property
+    def solid_nodes(self) -> Int[np.ndarray, " n"]:
+        """Nodes of cells that are at least half full: those of nearly empty ones move wildly."""
+        return np.unique(self.cell_nodes[self.fill >= 0.5])
+
     @property
     def volume(self) -> float:
         """Volume of the body in units of L³."""
@@ -157,13 +169,13 @@ class Body:
 
     def locate(self, points: Float64[np.ndarray, "n 3"]) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
         """Active cell of each point (−1 where there is none) and its local coordinates in [0, 1]³."""
-        return _locate(points, self._cell_of_grid)
+        return locate(points, self._cell_of_grid)
 
     def settle(
         self, points: Float64[np.ndarray, "n 3"], normals: Float64[np.ndarray, "n 3"]
     ) -> tuple[Int[np.ndarray, " n"], Float64[np.ndarray, "n 3"]]:
         """As `locate`, for points on the surface with outward normals, each moved inwards to an active cell."""
-        return _settle(points, normals, self._cell_of_grid)
+        return settle(points, normals, self._cell_of_grid)
 
     def gather(self, nodal: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "24 m"]:
         """Nodal vectors in element order, cells last."""
@@ -257,7 +269,7 @@ class _Hold:
     def foundation(
         self, cell_of_grid: Int[np.ndarray, "n n n"], cell_nodes: Int[np.ndarray, "m 8"], nodes: int
     ) -> sp.csr_array:
-        cell, local = _settle(self.bed.points, self.bed.normals, cell_of_grid)
+        cell, local = settle(self.bed.points, self.bed.normals, cell_of_grid)
         good = cell >= 0
         if isinstance(self.clamp, Clamp) and not self.bed.only(good).holds:
             raise self.error("too little of the shape does to keep it from turning")
@@ -273,25 +285,3 @@ class _Hold:
         if isinstance(self.clamp, Clamp) and self.clamp.region is not None:
             return BodyError("clamp_off_body", f"the clamp's region must hold a patch of the surface: {what}")
         return BodyError("not_standing", f"the shape must touch the support plane z = 0: {what}")
-
-
-def _locate(
-    points: Float64[np.ndarray, "k 3"], cell_of_grid: Int[np.ndarray, "n n n"]
-) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    n = len(cell_of_grid)
-    scaled = points * n
-    index = np.clip(np.floor(scaled).astype(np.int64), 0, n - 1)
-    inside = ((scaled >= 0.0) & (scaled <= n)).all(axis=1)
-    return np.where(inside, cell_of_grid[tuple(index.T)], -1), scaled - index
-
-
-def _settle(
-    points: Float64[np.ndarray, "k 3"], normals: Float64[np.ndarray, "k 3"], cell_of_grid: Int[np.ndarray, "n n n"]
-) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    cell, local = np.full(len(points), -1), np.zeros_like(points)
-    for depth in DEPTHS:
-        left = cell < 0
-        if not left.any():
-            break
-        cell[left], local[left] = _locate(points[left] - depth / len(cell_of_grid) * normals[left], cell_of_grid)
-    return cell, local

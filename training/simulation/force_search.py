@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
-from training.metrics import iou
 from training.simulation.loads import Load
-from training.simulation.rasterise import Rasteriser
+from training.simulation.overlap import RestOverlap
 
 _STEPS = 12
 _TOLERANCE = 0.01
@@ -18,14 +17,14 @@ _MAX_STRETCH = 0.6
 
 
 def force_for_identity_iou(
-    rasteriser: Rasteriser, load: Load, displacement: Float64[np.ndarray, "nodes 3"], target: float
+    overlap: RestOverlap, load: Load, displacement: Float64[np.ndarray, "nodes 3"], target: float
 ) -> Load | None:
     """The load whose linear response overlaps the undeformed body to a wanted IoU.
 
-    The linear response scales with the force, so each trial costs one voxelisation.
+    The linear response scales with the force, so each trial costs one look at the points of `overlap`.
 
     Args:
-        rasteriser: Of the body; a coarse grid of 32³ is accurate enough.
+        overlap: Of the body.
         load: Any load number above zero.
         displacement: Linear nodal displacements under `load`.
         target: Wanted IoU in (0, 1).
@@ -33,19 +32,20 @@ def force_for_identity_iou(
     Returns:
         The same load with another load number; None where no displacement within the cube overlaps that little.
     """
-    peak = float(np.linalg.norm(displacement[rasteriser.solid_nodes], axis=1).max(initial=0.0))
+    peak = float(np.linalg.norm(displacement[overlap.body.solid_nodes], axis=1).max(initial=0.0))
     if not 0.0 < peak < np.inf:
         return None
+    along = overlap.along(displacement)
     limit = _MAX_STRETCH / peak
     low, high = 0.0, np.inf
     # 1/IoU − 1 grows almost linearly with the force: scale by it, and bisect when that leaves the bracket
     wanted = 1.0 / target - 1.0
     factor = 0.1 / peak
     for _ in range(_STEPS):
-        overlap = iou(rasteriser.rest, rasteriser.occupancy(factor * displacement))
-        if abs(overlap - target) < _TOLERANCE:
+        seen = along.iou(factor)
+        if abs(seen - target) < _TOLERANCE:
             break
-        if overlap > target:
+        if seen > target:
             if factor == limit:
                 return None
             low = factor
@@ -53,7 +53,7 @@ def force_for_identity_iou(
             high = factor
         if high - low < 1e-3 * high:
             break
-        factor *= wanted / max(1.0 / max(overlap, 1e-3) - 1.0, 1e-3)
+        factor *= wanted / max(1.0 / max(seen, 1e-3) - 1.0, 1e-3)
         # where the target seems out of reach, one look at the limit decides
         factor = min(factor, limit)
         if not low < factor < high:

@@ -13,6 +13,7 @@ from training.simulation.body import Body
 from training.simulation.compiled import compiled
 from training.simulation.elements import GAUSS_POINTS, shape_functions
 from training.simulation.patch import surface_patch
+from training.simulation.skin import LATTICE
 from training.simulation.surface import surface_gradient
 
 PATCH_RADIUS = 0.1
@@ -21,6 +22,8 @@ PATCH_RADIUS = 0.1
 FACING = 0.1
 """Least cosine between the outward normals of a place that carries traction and of the contact: above zero, or rounding
 would decide whether the sides of a box at right angles to the contact's face carry any."""
+FEWEST = 6.0
+"""Spacings of the skin's points in the radius of the smallest patch that is integrated over them."""
 
 
 class LoadError(ValueError):
@@ -52,51 +55,79 @@ def nodal_forces(body: Body, loads: Load | Sequence[Load]) -> Float64[np.ndarray
     Raises:
         LoadError: no material lies under a patch.
     """
-    if isinstance(loads, Load):
-        return _patch_forces(body, loads)
-    return np.asarray(sum((_patch_forces(body, load) for load in loads), np.zeros((body.nodes, 3))))
+    return np.asarray(load_cases(body, [loads])[0])
 
 
-def _patch_forces(body: Body, load: Load) -> Float64[np.ndarray, "nodes 3"]:
-    """Nodal forces of one load; they sum to Λ·direction exactly.
+def load_cases(body: Body, cases: Sequence[Load | Sequence[Load]]) -> Float64[np.ndarray, "m nodes 3"]:
+    """As `nodal_forces`, for each of several loads, or groups of loads that act together.
 
-    The surface integral is taken over points of a fine lattice that lie in a thin shell around the surface, projected
-    onto it. Only the side of a thin member that faces the contact carries traction: the outward normal there must have
-    a component along the normal at the contact.
+    The forces of each load sum to Λ·direction exactly. Its integral is taken over the points of the body's skin, or,
+    where those are too far apart for a patch so small, of a finer lattice around the contact. Only the side of a thin
+    member that faces the contact carries traction: the outward normal there must have a component along the normal at
+    the contact.
+
+    Raises:
+        LoadError: no material lies under a patch.
     """
-    spacing = min(0.25 * body.cell_edge, load.patch_radius / 10.0)
-    points, normals, area = surface_patch(body.distance, load.contact, load.patch_radius, spacing)
-    outward = surface_gradient(body.distance, load.contact[None])[0]
-    squared = ((points - load.contact) ** 2).sum(axis=1) / load.patch_radius**2
-    weight = np.clip(1.0 - squared, 0.0, None) ** 2 * area
-    weight *= normals @ outward > FACING
-    loaded = weight > 0.0
-    cell, local = body.settle(points[loaded], normals[loaded])
-    if not (cell >= 0).any():
-        raise LoadError("no material lies under the load's patch: move the contact onto the surface")
+    groups = [(case,) if isinstance(case, Load) else tuple(case) for case in cases]
+    loads = [load for group in groups for load in group]
+    forces = np.zeros((len(groups), body.nodes, 3))
+    if not loads:
+        return forces
+    outward = surface_gradient(body.distance, np.array([load.contact for load in loads]))
+    shares = iter([_shares(body, load, normal) for load, normal in zip(loads, outward, strict=True)])
+    for case, group in enumerate(groups):
+        for load in group:
+            forces[case] += next(shares)[:, None] * (load.load_number * load.direction)
+    return forces
+
+
+def _shares(body: Body, load: Load, outward: Vector3) -> Float64[np.ndarray, " nodes"]:
+    """Share of a load that each node carries."""
+    if body.skin is not None and load.patch_radius >= FEWEST * body.cell_edge / LATTICE:
+        skin, cell, local = body.skin
+        points, normals, area = skin.points, skin.normals, skin.area
+    else:
+        spacing = min(body.cell_edge / LATTICE, load.patch_radius / 10.0)
+        points, normals, area = surface_patch(body.distance, load.contact, load.patch_radius, spacing)
+        cell, local = body.settle(points, normals)
     nodal = np.zeros(body.nodes)
-    _spread(cell, local, weight[loaded], body.cell_nodes, nodal)
-    return np.asarray((nodal / nodal.sum())[:, None] * (load.load_number * load.direction))
+    _spread(points, normals, area, cell, local, load.contact, load.patch_radius, outward, body.cell_nodes, nodal)
+    total = nodal.sum()
+    if not total > 0.0:
+        raise LoadError("no material lies under the load's patch: move the contact onto the surface")
+    return np.asarray(nodal / total)
 
 
 @compiled
 def _spread(
+    points: Float64[np.ndarray, "n 3"],
+    normals: Float64[np.ndarray, "n 3"],
+    area: Float64[np.ndarray, " n"],
     cell: Int[np.ndarray, " n"],
     local: Float64[np.ndarray, "n 3"],
-    weight: Float64[np.ndarray, " n"],
+    contact: Vector3,
+    radius: float,
+    outward: Vector3,
     cell_nodes: Int[np.ndarray, "m 8"],
     nodal: Float64[np.ndarray, " nodes"],
 ) -> None:
-    """Add the weight of every point that has a cell to its corners, by their shape functions."""
-    for row in range(len(cell)):
-        if cell[row] < 0:
+    """Add the weight of every point of a patch that has a cell to its corners, by their shape functions."""
+    for row in range(len(points)):
+        x, y, z = points[row, 0] - contact[0], points[row, 1] - contact[1], points[row, 2] - contact[2]
+        squared = (x * x + y * y + z * z) / radius**2
+        if squared >= 1.0 or cell[row] < 0:
             continue
+        facing = normals[row, 0] * outward[0] + normals[row, 1] * outward[1] + normals[row, 2] * outward[2]
+        if facing <= FACING:
+            continue
+        weight = (1.0 - squared) ** 2 * area[row]
         x, y, z = local[row, 0], local[row, 1], local[row, 2]
         for corner in range(8):
             share = x if corner & 4 else 1.0 - x
             share *= y if corner & 2 else 1.0 - y
             share *= z if corner & 1 else 1.0 - z
-            nodal[cell_nodes[cell[row], corner]] += share * weight[row]
+            nodal[cell_nodes[cell[row], corner]] += share * weight
 
 
 def self_weight(body: Body, weight_number: Vector3) -> Float64[np.ndarray, "nodes 3"]:

@@ -3,40 +3,61 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE
 from training.simulation.body import Body
 from training.simulation.compiled import compiled
 from training.simulation.inverse_map import material_points
-from training.simulation.sampled import INSIDE, NEAR, SampledDistance
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance
+from training.simulation.trilinear import coefficients
 
 
 @dataclass(frozen=True, eq=False)
 class Rasterised:
     """A deformed body on a grid of size³ voxels, voxel (i, j, k) centred at ((i+½), (j+½), (k+½))/size.
 
+    Displacements are in units of L. They are kept at the voxels that have one, and spread over the grid when asked for.
+
     Attributes:
         deformed: Which voxel centres lie in the deformed body.
-        backward: u(y) at every deformed voxel centre y, whose material point at rest is y − u; in units of L, axis
-            first, NaN outside.
-        forward: u(x) at every voxel centre x of the body at rest; NaN outside.
+        moved_here: u(y) at the deformed voxels, in their order in the grid: the material point now at y was at y − u.
+        at_rest: Places in the flat grid of the voxels of the body at rest.
+        moved_from: u(x) at these.
         peak_displacement: Largest length of the forward field, that is, inside the body.
         mean_displacement: Mean length of the forward field.
     """
 
     deformed: Bool[np.ndarray, "x y z"]
-    backward: Float32[np.ndarray, "3 x y z"]
-    forward: Float32[np.ndarray, "3 x y z"]
+    moved_here: Float32[np.ndarray, "n 3"]
+    at_rest: Int[np.ndarray, " k"]
+    moved_from: Float32[np.ndarray, "k 3"]
     peak_displacement: float
     mean_displacement: float
 
+    @cached_property
+    def backward(self) -> Float32[np.ndarray, "3 x y z"]:
+        """u(y) at every voxel centre y of the deformed body; NaN outside."""
+        return self._spread(np.flatnonzero(self.deformed), self.moved_here)
+
+    @cached_property
+    def forward(self) -> Float32[np.ndarray, "3 x y z"]:
+        """u(x) at every voxel centre x of the body at rest; NaN outside."""
+        return self._spread(self.at_rest, self.moved_from)
+
+    def _spread(
+        self, index: Int[np.ndarray, " n"], values: Float32[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "3 x y z"]:
+        field = np.full((3, self.deformed.size), np.nan, np.float32)
+        field[:, index] = values.T
+        return field.reshape(3, *self.deformed.shape)
+
 
 class Rasteriser:
-    """Voxelises the states of one body; what depends only on its rest shape is computed once.
+    """Voxelises the states of one body, one after the other; what depends only on its rest shape is computed once.
 
     Args:
         body: The body.
@@ -44,62 +65,53 @@ class Rasteriser:
 
     Attributes:
         rest: The body at rest.
-        solid_nodes: Nodes of cells that are at least half full.
     """
 
     def __init__(self, body: Body, size: int = GRID_SIZE) -> None:
         self.body = body
         self.size = size
-        self._distance = (
-            body.distance
-            if isinstance(body.distance, SampledDistance) and body.distance.cells == body.cells
-            else SampledDistance.of(body.distance, body.cells)
-        )
-        self.solid_nodes: Int[np.ndarray, " n"] = np.unique(body.cell_nodes[body.fill >= 0.5])
+        self._distance = SampledDistance.on(body.distance, body.cells)
         centres = voxel_centres(size)
         self.rest: Bool[np.ndarray, "x y z"] = self._distance.inside(centres).reshape((size,) * 3)
         index = np.flatnonzero(self.rest)
         cell, local = body.locate(centres[index].astype(np.float64))
-        self._rest_index = index[cell >= 0]
-        self._rest_cell = cell[cell >= 0]
-        self._rest_local = local[cell >= 0].astype(np.float32)
+        # cell by cell, so that the nodes of each are read once
+        order = np.argsort(cell, kind="stable")[int((cell < 0).sum()) :]
+        self._at_rest = index[order]
+        self._rest_cell = cell[order]
+        self._rest_local = local[order]
+        self._backward = np.empty((*(size,) * 3, 3), np.float32)
 
     def __call__(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Rasterised:
         """Voxelise the body displaced at its nodes."""
-        grid = (self.size,) * 3
-        backward = np.full((3, *grid), np.nan, np.float32)
-        side = self._sides(displacement, backward)
-        deformed = side == INSIDE
-        asked = np.flatnonzero(side == NEAR)
-        moved = backward.reshape(3, -1)
-        held = self._distance(voxel_centres(self.size)[asked] - moved[:, asked].T) < 0
-        deformed.reshape(-1)[asked] = held
-        moved[:, asked[~held]] = np.nan
-        forward = np.full((3, *grid), np.nan, np.float32)
-        peak, total = _interpolate(
-            displacement, self.body.cell_nodes, self._rest_index, self._rest_cell, self._rest_local,
-            forward.reshape(3, -1),
-        )  # fmt: skip
+        side = self._sides(displacement, cautious=True)
+        found, asked = _collect(side.reshape(-1).view(np.uint64))
+        moved = self._backward.reshape(-1, 3)
+        held = self._distance(voxel_centres(self.size)[asked] - moved[asked]) < 0
+        side.reshape(-1)[asked] = held
+        here = np.empty((len(found), 3), np.float32)
+        count = _gather(side.reshape(-1), moved, found, here)
+        forward = np.empty((len(self._at_rest), 3), np.float32)
+        peak, total = _interpolate(displacement, self.body.cell_nodes, self._rest_cell, self._rest_local, forward)
         return Rasterised(
-            deformed=deformed,
-            backward=backward,
-            forward=forward,
+            deformed=side.view(bool),
+            moved_here=here[:count],
+            at_rest=self._at_rest,
+            moved_from=forward,
             peak_displacement=peak,
-            mean_displacement=total / max(len(self._rest_index), 1),
+            mean_displacement=total / max(len(forward), 1),
         )
 
     def occupancy(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Bool[np.ndarray, "x y z"]:
         """Only the deformed occupancy, by interpolated distances: off by 0.1 % of the volume where edges are sharp."""
-        return np.asarray(self._sides(displacement, np.empty((3, 0, 0, 0), np.float32)) == INSIDE)
+        return np.asarray(self._sides(displacement, cautious=False) == INSIDE)
 
-    def _sides(
-        self, displacement: Float64[np.ndarray, "nodes 3"], backward: Float32[np.ndarray, "3 _ _ _"]
-    ) -> UInt8[np.ndarray, "x y z"]:
+    def _sides(self, displacement: Float64[np.ndarray, "nodes 3"], cautious: bool) -> UInt8[np.ndarray, "x y z"]:
         body, sampled = self.body, self._distance
         side = np.zeros((self.size,) * 3, np.uint8)
         material_points(
             (body.node_positions + displacement) * self.size - 0.5, body.cell_nodes, body.active,
-            sampled.state, sampled.lattice, sampled.doubt, side, backward,
+            sampled.state, sampled.number, sampled.polynomial, sampled.doubt, cautious, side, self._backward,
         )  # fmt: skip
         return side
 
@@ -119,28 +131,74 @@ def voxel_centres(size: int = GRID_SIZE) -> Float32[np.ndarray, "n 3"]:
 
 
 @compiled
+def _collect(words: UInt64[np.ndarray, " w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
+    """Places of all voxels that are not `OUTSIDE`, and of those that are `NEAR`, of sides eight to a word."""
+    found, asked = np.empty(8 * len(words), np.int64), np.empty(8 * len(words), np.int64)
+    count, doubtful = 0, 0
+    for index in range(len(words)):
+        word = words[index]
+        if word == 0:
+            continue
+        for byte in range(8):
+            side = (word >> np.uint64(8 * byte)) & np.uint64(255)
+            if side != OUTSIDE:
+                found[count] = 8 * index + byte
+                count += 1
+            if side == NEAR:
+                asked[doubtful] = 8 * index + byte
+                doubtful += 1
+    return found[:count].copy(), asked[:doubtful].copy()
+
+
+@compiled
+def _gather(
+    side: UInt8[np.ndarray, " voxels"],
+    field: Float32[np.ndarray, "voxels 3"],
+    found: Int[np.ndarray, " n"],
+    values: Float32[np.ndarray, "n 3"],
+) -> int:
+    """Write the field at those of the voxels that are `INSIDE`; returns how many are."""
+    count = 0
+    for row in range(len(found)):
+        place = found[row]
+        if side[place] == INSIDE:
+            for axis in range(3):
+                values[count, axis] = field[place, axis]
+            count += 1
+    return count
+
+
+@compiled
 def _interpolate(
     nodal: Float64[np.ndarray, "nodes 3"],
     cell_nodes: Int[np.ndarray, "m 8"],
-    place: Int[np.ndarray, " n"],
     cell: Int[np.ndarray, " n"],
-    local: Float32[np.ndarray, "n 3"],
-    field: Float32[np.ndarray, "3 voxels"],
+    local: Float64[np.ndarray, "n 3"],
+    field: Float32[np.ndarray, "n 3"],
 ) -> tuple[float, float]:
     """Write the trilinear nodal field at points given by cell and local coordinates; its largest and total length."""
-    peak, total = 0.0, 0.0
-    for row in range(len(place)):
-        x, y, z = local[row, 0], local[row, 1], local[row, 2]
-        m = cell[row]
+    terms = np.empty((3, 8))
+    peak, total, present = 0.0, 0.0, -1
+    for row in range(len(cell)):
+        if cell[row] != present:
+            present = cell[row]
+            for axis in range(3):
+                (
+                    terms[axis, 0], terms[axis, 1], terms[axis, 2], terms[axis, 3],
+                    terms[axis, 4], terms[axis, 5], terms[axis, 6], terms[axis, 7],
+                ) = coefficients(
+                    nodal[cell_nodes[present, 0], axis], nodal[cell_nodes[present, 1], axis],
+                    nodal[cell_nodes[present, 2], axis], nodal[cell_nodes[present, 3], axis],
+                    nodal[cell_nodes[present, 4], axis], nodal[cell_nodes[present, 5], axis],
+                    nodal[cell_nodes[present, 6], axis], nodal[cell_nodes[present, 7], axis],
+                )  # fmt: skip
+        x, y, z = local[row, 0] - 0.5, local[row, 1] - 0.5, local[row, 2] - 0.5
         length = 0.0
         for axis in range(3):
-            # corner 4·dx + 2·dy + dz: halve along z, then y, then x
-            a = nodal[cell_nodes[m, 0], axis] * (1 - z) + nodal[cell_nodes[m, 1], axis] * z
-            b = nodal[cell_nodes[m, 2], axis] * (1 - z) + nodal[cell_nodes[m, 3], axis] * z
-            c = nodal[cell_nodes[m, 4], axis] * (1 - z) + nodal[cell_nodes[m, 5], axis] * z
-            d = nodal[cell_nodes[m, 6], axis] * (1 - z) + nodal[cell_nodes[m, 7], axis] * z
-            value = (a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x
-            field[axis, place[row]] = value
+            value = terms[axis, 0] + x * terms[axis, 1] + y * terms[axis, 2] + z * terms[axis, 3]
+            value += x * y * terms[axis, 4] + y * z * terms[axis, 5] + z * x * terms[axis, 6]
+            value += x * y * z * terms[axis, 7]
+            field[row, axis] = value
             length += value * value
         length = np.sqrt(length)
         peak = max(peak, length)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
 
 from training.simulation.compiled import compiled
 from training.simulation.surface import Distance
@@ -22,9 +22,9 @@ OUTSIDE, INSIDE, NEAR = 0, 1, 2
 SAMPLED_SHELL = 0.75
 """Half thickness, in octants, of the shell around the surface where the lattice has values: what loads integrate over,
 `surface.SHELL` times a quarter of a cell."""
-STRAIGHT_ERROR = 3.0
-"""Doubts by which `straight` must differ from zero for `interpolated` to differ from it by more than one, on the same
-side: nodes off by one move a quadratic by up to 1.25 along each axis, 1.25³ = 1.95 in all."""
+_SETTLED = 3.0
+"""Doubts by which the corners of an octant must all lie on one side for interpolation to do so everywhere by one doubt:
+nodes off by one move a quadratic by up to 1.25 along each axis, 1.25³ = 1.95 in all."""
 _REACH = 1.25
 """How many times its half diagonal a cube's centre must lie away from the surface to be settled: a margin for functions
 that are only nearly distances; ellipsoids overstate theirs by up to 17 %."""
@@ -40,16 +40,18 @@ class SampledDistance:
         distance: The function.
         cells: Cells along each edge of the cube.
         state: `OUTSIDE`, `INSIDE` or `NEAR` of each of the (2·cells)³ octants.
-        lattice: Values on the corners of the octants and half-way between, those within `SAMPLED_SHELL` of the surface;
-            zero elsewhere.
-        doubt: How far interpolation in such an octant may be off: the curvature that its own nodes show; else zero.
+        number: Row of each octant within `SAMPLED_SHELL` of the surface in the tables below; else −1.
+        polynomial: Coefficients 9·a + 3·b + c of xᵃ yᵇ zᶜ, each power up to 2, in the octant's local coordinates in
+            [−1, 1]³: the quadratics through the values on its corners and half-way between.
+        doubt: How far interpolation may be off: the curvature that the octant's own nodes show.
     """
 
     distance: Distance
     cells: int
     state: UInt8[np.ndarray, "n2 n2 n2"]
-    lattice: Float32[np.ndarray, "n4 n4 n4"]
-    doubt: Float32[np.ndarray, "n2 n2 n2"]
+    number: Int32[np.ndarray, "n2 n2 n2"]
+    polynomial: Float32[np.ndarray, "k 27"]
+    doubt: Float32[np.ndarray, " k"]
 
     @classmethod
     def of(cls, distance: Distance, cells: int) -> SampledDistance:
@@ -73,16 +75,27 @@ class SampledDistance:
         place = np.stack(np.unravel_index(index, lattice.shape), axis=1).astype(np.float32) / np.float32(2 * n)
         lattice.ravel()[index] = distance(place)
         values = lattice.ravel()[nodes]
-        doubt = np.zeros(state.shape, np.float32)
-        doubt[tuple(octants.T)] = np.abs(values - values @ _STRAIGHT).max(axis=1, initial=0.0) + _ROUNDING
-        return cls(distance, cells, state, lattice, doubt)
+        doubt = np.abs(values - values @ _STRAIGHT).max(axis=1, initial=0.0) + np.float32(_ROUNDING)
+        # where all corners lie on one side by enough, interpolation would give every point the same answer
+        corners = values[:, _CORNERS]
+        outside = corners.min(axis=1, initial=np.inf) > _SETTLED * doubt
+        inside = corners.max(axis=1, initial=-np.inf) < -_SETTLED * doubt
+        state[tuple(octants[outside].T)], state[tuple(octants[inside].T)] = OUTSIDE, INSIDE
+        number = np.full(state.shape, -1, np.int32)
+        number[tuple(octants.T)] = np.arange(len(octants), dtype=np.int32)
+        return cls(distance, cells, state, number, values @ _TO_POLYNOMIAL, doubt)
+
+    @classmethod
+    def on(cls, distance: Distance, cells: int) -> SampledDistance:
+        """A distance that is sampled on these cells already, or a new one."""
+        return distance if isinstance(distance, cls) and distance.cells == cells else cls.of(distance, cells)
 
     def __call__(self, points: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
         return self.distance(points)
 
     def inside(self, points: Float32[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Sign of the function itself at points of the cube; it is asked only where interpolation leaves a doubt."""
-        side = _sides(points, self.state, self.lattice, self.doubt)
+        side = _sides(points, self.state, self.number, self.polynomial, self.doubt)
         asked = np.flatnonzero(side == NEAR)
         side[asked] = self.distance(points[asked]) < 0
         return np.asarray(side == INSIDE)
@@ -92,8 +105,9 @@ class SampledDistance:
         """Part of each octant that lies inside, as the mean over sample points."""
         fill = (self.state == INSIDE).astype(np.float64)
         octants = np.argwhere(self.state == NEAR)
-        value = self.lattice.ravel()[_nodes(octants, 2 * self.cells)] @ _TO_SAMPLES
-        row, sample = np.nonzero(np.abs(value) <= self.doubt[tuple(octants.T)][:, None])
+        number = self.number[tuple(octants.T)]
+        value = self.polynomial[number] @ _MONOMIALS_AT_SAMPLES
+        row, sample = np.nonzero(np.abs(value) <= self.doubt[number][:, None])
         place = (octants[row] + (_cube(SUBSAMPLES)[sample] + 0.5) / SUBSAMPLES) / (2 * self.cells)
         value[row, sample] = self.distance(place.astype(np.float32))
         # a sample's share by its distance, not its side: counting is off by up to half a sample, which changes a member
@@ -110,44 +124,31 @@ def octant_fill(distance: Distance, cells: int) -> Float64[np.ndarray, "n2 n2 n2
 
 
 @compiled
-def interpolated(
-    lattice: Float32[np.ndarray, "n4 n4 n4"], i: int, j: int, k: int, x: float, y: float, z: float
-) -> float:
-    """Triquadratic value in octant (i, j, k) at local coordinates in [−1, 1]³.
+def interpolated(polynomial: Float32[np.ndarray, "k 27"], row: int, x: float, y: float, z: float) -> float:
+    """Triquadratic value in the octant of a row of the table at local coordinates in [−1, 1]³, by Horner's rule.
 
     Source: Hughes, The Finite Element Method (2000), section 3.6, Lagrange elements.
     """
-    p = (0.5 * x * (x - 1.0), 1.0 - x * x, 0.5 * x * (x + 1.0))
-    q = (0.5 * y * (y - 1.0), 1.0 - y * y, 0.5 * y * (y + 1.0))
-    r = (0.5 * z * (z - 1.0), 1.0 - z * z, 0.5 * z * (z + 1.0))
-    i, j, k = 2 * i, 2 * j, 2 * k
-    value = 0.0
-    for a in range(3):
-        for b in range(3):
+    # in single precision, as the values are: no conversions
+    x, y, z = np.float32(x), np.float32(y), np.float32(z)
+    value = np.float32(0.0)
+    for a in range(2, -1, -1):
+        line = np.float32(0.0)
+        for b in range(2, -1, -1):
             # whole indices, no views: a view would count its references, which takes longer than the sum
-            line = r[0] * lattice[i + a, j + b, k] + r[1] * lattice[i + a, j + b, k + 1]
-            value += p[a] * q[b] * (line + r[2] * lattice[i + a, j + b, k + 2])
+            n = 9 * a + 3 * b
+            line = line * y + (polynomial[row, n] + z * (polynomial[row, n + 1] + z * polynomial[row, n + 2]))
+        value = value * x + line
     return value
-
-
-@compiled
-def straight(lattice: Float32[np.ndarray, "n4 n4 n4"], i: int, j: int, k: int, x: float, y: float, z: float) -> float:
-    """As `interpolated`, trilinearly between the octant's corners: a third of the work."""
-    i, j, k = 2 * i, 2 * j, 2 * k
-    x, y, z = 0.5 * (x + 1.0), 0.5 * (y + 1.0), 0.5 * (z + 1.0)
-    a = (1.0 - z) * lattice[i, j, k] + z * lattice[i, j, k + 2]
-    b = (1.0 - z) * lattice[i, j + 2, k] + z * lattice[i, j + 2, k + 2]
-    c = (1.0 - z) * lattice[i + 2, j, k] + z * lattice[i + 2, j, k + 2]
-    d = (1.0 - z) * lattice[i + 2, j + 2, k] + z * lattice[i + 2, j + 2, k + 2]
-    return float((1.0 - x) * ((1.0 - y) * a + y * b) + x * ((1.0 - y) * c + y * d))
 
 
 @compiled
 def _sides(
     points: Float32[np.ndarray, "n 3"],
     state: UInt8[np.ndarray, "n2 n2 n2"],
-    lattice: Float32[np.ndarray, "n4 n4 n4"],
-    doubt: Float32[np.ndarray, "n2 n2 n2"],
+    number: Int32[np.ndarray, "n2 n2 n2"],
+    polynomial: Float32[np.ndarray, "k 27"],
+    doubt: Float32[np.ndarray, " k"],
 ) -> UInt8[np.ndarray, " n"]:
     """`INSIDE`, `OUTSIDE`, or `NEAR` where the interpolated value is not above the doubt."""
     n = state.shape[0]
@@ -157,8 +158,9 @@ def _sides(
         i, j, k = min(max(int(x), 0), n - 1), min(max(int(y), 0), n - 1), min(max(int(z), 0), n - 1)
         side = state[i, j, k]
         if side == 2:
-            value = interpolated(lattice, i, j, k, 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0)
-            if abs(value) > doubt[i, j, k]:
+            m = number[i, j, k]
+            value = interpolated(polynomial, m, 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0)
+            if abs(value) > doubt[m]:
                 side = 1 if value < 0.0 else 0
         sides[row] = side
     return sides
@@ -180,15 +182,13 @@ def _centres(index: Int[np.ndarray, "n 3"], edge: int) -> Float32[np.ndarray, "n
     return ((index + 0.5) / edge).astype(np.float32)
 
 
-def _weights(local: Float64[np.ndarray, "n 3"], quadratic: bool) -> Float32[np.ndarray, "27 n"]:
-    """Weight of each of an octant's 27 nodes at local coordinates in [−1, 1]³; the linear ones use its corners only."""
-    if quadratic:
-        factor = np.stack([0.5 * local * (local - 1), 1 - local**2, 0.5 * local * (local + 1)])
-    else:
-        factor = np.stack([0.5 * (1 - local), 0 * local, 0.5 * (1 + local)])
-    weights = factor[:, None, None, :, 0] * factor[None, :, None, :, 1] * factor[None, None, :, :, 2]
-    return np.asarray(weights.reshape(27, -1), np.float32)
+def _cubed(table: Float64[np.ndarray, "m n"]) -> Float32[np.ndarray, "m3 n3"]:
+    """What a table along one axis is along all three."""
+    return np.kron(np.kron(table, table), table).astype(np.float32)
 
 
-_TO_SAMPLES = _weights((_cube(SUBSAMPLES) + 0.5) / SUBSAMPLES * 2 - 1, True)
-_STRAIGHT = _weights(_cube(3) - 1.0, False)
+_TO_POLYNOMIAL = _cubed(np.array([[0.0, -0.5, 0.5], [1.0, 0.0, -1.0], [0.0, 0.5, 0.5]]))
+_MONOMIALS_AT_SAMPLES = _cubed(((2.0 * np.arange(SUBSAMPLES) + 1.0) / SUBSAMPLES - 1.0)[None] ** np.arange(3)[:, None])
+_STRAIGHT = _cubed(np.array([[1.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.5, 1.0]]))
+"""From an octant's 27 values to those of the trilinear function between its corners."""
+_CORNERS = np.flatnonzero((_cube(3) != 1).all(axis=1))

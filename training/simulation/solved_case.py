@@ -23,9 +23,9 @@ from training.simulation.case import (
     simulated_poisson_ratio,
 )
 from training.simulation.distance_grid import distance_grid
-from training.simulation.elements import MeanDilatationHexahedron
 from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.loads import PATCH_RADIUS, Load, LoadError, nodal_forces, self_weight
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.nearest import nearest_on_surface
 from training.simulation.newton import follow_forces
 from training.simulation.placement import Placement

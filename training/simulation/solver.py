@@ -12,9 +12,10 @@ from jaxtyping import Float64
 
 from training.simulation.body import Body
 from training.simulation.clamp import Reaction
-from training.simulation.elements import PAIRS_24, Element, ElementTangent, MeanDilatationHexahedron
+from training.simulation.elements import PAIRS_24, Element, ElementTangent
 from training.simulation.factor import Factor, factorise
-from training.simulation.loads import Load, nodal_forces
+from training.simulation.loads import Load, load_cases
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 
 
 class LinearSolver:
@@ -61,7 +62,7 @@ class LinearSolver:
         Raises:
             LoadError: a load touches no material.
         """
-        return self.solve_forces(np.stack([nodal_forces(self.body, load) for load in loads]))
+        return self.solve_forces(load_cases(self.body, loads))
 
     def solve_forces(self, forces: Float64[np.ndarray, "m nodes 3"]) -> Float64[np.ndarray, "m nodes 3"]:
         """Nodal displacements under given nodal forces."""

@@ -13,21 +13,25 @@ def ball(radius: float) -> np.ndarray:
     return ((CENTRES - 0.5) ** 2).sum(axis=0) < radius**2
 
 
+def at(*places: tuple[int, int, int]) -> np.ndarray:
+    return np.ravel_multi_index(tuple(np.array(places).T), (64, 64, 64))
+
+
 def test_coarsening_averages_inside_only() -> None:
-    fine = np.full((3, 64, 64, 64), np.nan, np.float32)
-    fine[:, 10, 20, 30] = 0.1, 0.2, 0.3
-    fine[:, 11, 20, 30] = 0.5
-    field, covered = coarsen(fine)
+    index = at((10, 20, 30), (11, 20, 30), (63, 0, 63))
+    values = np.array([[0.1, 0.2, 0.3], [0.5, 0.5, 0.5], [1.0, 2.0, 3.0]], np.float32)
+    field, covered = coarsen(index, values)
     assert covered[5, 10, 15] == 2
-    assert covered.sum() == 2
+    assert covered.sum() == 3
     np.testing.assert_allclose(field[:, 5, 10, 15], [0.3, 0.35, 0.4], atol=1e-6)
-    assert np.isfinite(field).all()
+    np.testing.assert_array_equal(field[:, 31, 0, 31], [1.0, 2.0, 3.0])
 
 
 def test_coverage_counts_voxels_of_each_block() -> None:
-    fine = np.where(np.random.default_rng(0).random((64, 64, 64)) < 0.5, 1.0, np.nan).astype(np.float32)
-    _, covered = coarsen(np.stack([fine] * 3))
-    np.testing.assert_array_equal(covered, np.isfinite(fine).reshape(32, 2, 32, 2, 32, 2).sum(axis=(1, 3, 5)))
+    filled = np.random.default_rng(0).random((64, 64, 64)) < 0.5
+    index = np.flatnonzero(filled)
+    _, covered = coarsen(index, np.ones((len(index), 3), np.float32))
+    np.testing.assert_array_equal(covered, filled.reshape(32, 2, 32, 2, 32, 2).sum(axis=(1, 3, 5)))
 
 
 def test_a_field_is_kept_inside_and_carried_on_by_two_layers() -> None:

@@ -5,8 +5,9 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from training.simulation.body import Body
-from training.simulation.elements import PAIRS_24, MeanDilatationHexahedron
+from training.simulation.elements import PAIRS_24
 from training.simulation.enhanced import EnhancedHexahedron
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.surface import Distance
 
 

@@ -9,10 +9,10 @@ import scipy.sparse as sp
 from tests.training.simulation.bodies import ELEMENTS, box, bridge, column, union
 from training.simulation.body import Body
 from training.simulation.clamp import RigidClamp
-from training.simulation.elements import MeanDilatationHexahedron
 from training.simulation.factor import factorise
 from training.simulation.loads import self_weight
 from training.simulation.material_law import lame
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.solver import LinearSolver
 
 skfem = pytest.importorskip("skfem", reason="scikit-fem is not installed (the `oracle` extra)")

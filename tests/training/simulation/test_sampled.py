@@ -3,7 +3,7 @@ import pytest
 
 from tests.training.simulation.bodies import box, bridge, sphere, union, whole_cube
 from training.simulation.rasterise import voxel_centres
-from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, STRAIGHT_ERROR, SampledDistance, interpolated, straight
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated
 
 SHAPES = {
     "ball": sphere([0.5, 0.47, 0.42], 0.3),
@@ -59,15 +59,15 @@ def test_octants_far_from_the_surface_are_settled():
 
 
 def test_interpolation_is_exact_for_quadratics():
-    x, y, z = np.meshgrid(*[np.arange(5) / 4] * 3, indexing="ij")
+    def quadratic(points):
+        x, y, z = points.T
+        return (0.3 * x - 0.2 * y * y + 0.3 * x * z + 0.1 * y * z * z * x * x - 0.2).astype(np.float32)
 
-    def quadratic(x, y, z):
-        return 1 + x - 2 * y * y + 3 * x * z + y * z * z * x * x
-
-    lattice = quadratic(x, y, z)
-    # octant (1, 0, 1) covers [½, 1] × [0, ½] × [½, 1]
-    value = interpolated(lattice.astype(np.float32), 1, 0, 1, 0.2, -0.6, 0.9)
-    assert value == pytest.approx(quadratic(0.5 + 0.3, 0.1, 0.5 + 0.475), rel=1e-6)
+    sampled = SampledDistance.of(quadratic, 4)
+    octant = np.argwhere(sampled.number >= 0)[7]
+    local = np.array([0.2, -0.6, 0.9])
+    value = interpolated(sampled.polynomial, sampled.number[tuple(octant)], *local.tolist())
+    assert value == pytest.approx(quadratic((octant[None] + 0.5 + 0.5 * local) / 8)[0], abs=1e-7)
 
 
 def test_doubt_bounds_the_error_of_interpolation():
@@ -76,21 +76,18 @@ def test_doubt_bounds_the_error_of_interpolation():
     for octant in np.argwhere(sampled.state == NEAR)[::50]:
         local = np.random.default_rng(0).uniform(-1, 1, (20, 3))
         points = (octant + 0.5 + 0.5 * local) / 24
-        found = [interpolated(sampled.lattice, *(int(i) for i in octant), *(float(t) for t in row)) for row in local]
+        row = sampled.number[tuple(octant)]
+        found = [interpolated(sampled.polynomial, row, *place) for place in local.tolist()]
         error = np.abs(np.array(found) - SHAPES["ball"](points.astype(np.float32)))
-        assert error.max() < sampled.doubt[tuple(octant)]
+        assert error.max() < sampled.doubt[row]
 
 
-def test_where_the_corners_of_an_octant_tell_the_side_all_its_nodes_tell_the_same():
-    """At edges, where the two differ most."""
-    sampled = SampledDistance.of(box([0.511, 0.48, 0.217], [0.203, 0.117, 0.211]), 24)
-    rng = np.random.default_rng(0)
-    told = 0
-    for i, j, k in np.argwhere(sampled.doubt > 0.1 * sampled.doubt.max()):
-        x, y, z = rng.uniform(-1.0, 1.0, 3)
-        corners = straight(sampled.lattice, i, j, k, x, y, z)
-        if abs(corners) > STRAIGHT_ERROR * sampled.doubt[i, j, k]:
-            whole = interpolated(sampled.lattice, i, j, k, x, y, z)
-            assert whole * np.sign(corners) > sampled.doubt[i, j, k]
-            told += 1
-    assert told > 100
+@pytest.mark.parametrize("name", SHAPES)
+def test_an_octant_that_its_corners_settle_lies_on_that_side(name):
+    """Tabulated octants that are not `NEAR`: the function has one sign in them, at edges too."""
+    sampled = SampledDistance.of(SHAPES[name], 12)
+    settled = np.argwhere((sampled.number >= 0) & (sampled.state != NEAR))
+    local = np.random.default_rng(0).random((8, 1, 3))
+    value = SHAPES[name](((settled + local) / 24).reshape(-1, 3).astype(np.float32)).reshape(8, -1)
+    np.testing.assert_array_equal(value < 0, np.tile(sampled.state[tuple(settled.T)] == INSIDE, (8, 1)))
+    assert len(settled) > 100

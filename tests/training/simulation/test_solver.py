@@ -7,10 +7,11 @@ import scipy.sparse as sp
 from tests.training.simulation.bodies import ELEMENTS, bridge, column, full_stiffness, sphere
 from training.simulation.body import Body
 from training.simulation.clamp import Clamp, RigidClamp
-from training.simulation.elements import MeanDilatationHexahedron, shape_functions
+from training.simulation.elements import shape_functions
 from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.loads import Load, nodal_forces
 from training.simulation.material_law import lame
+from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.solver import LinearSolver
 
 DOWN = np.array([0.0, 0.0, -1.0])
