@@ -11,7 +11,9 @@ COPY pyproject.toml README.md LICENSE ./
 COPY models models
 COPY training training
 COPY service service
-RUN /opt/physnet/bin/pip install --no-cache-dir --disable-pip-version-check .
+# Further extras, such as `tracing`: --build-arg EXTRAS=tracing
+ARG EXTRAS=
+RUN /opt/physnet/bin/pip install --no-cache-dir --disable-pip-version-check ".${EXTRAS:+[$EXTRAS]}"
 
 FROM python:3.12-slim
 COPY --from=build /opt/physnet /opt/physnet
@@ -21,6 +23,7 @@ ENV PATH=/opt/physnet/bin:$PATH \
     PYTHONUNBUFFERED=1 \
     PYTHONDONTWRITEBYTECODE=1 \
     PHYSNET_HOST=0.0.0.0 \
+    PHYSNET_LOG_FORMAT=json \
     PHYSNET_HTTP_PORT=8000 \
     PHYSNET_GRPC_PORT=8001
 EXPOSE 8000 8001

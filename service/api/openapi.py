@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from fastapi import FastAPI
 from fastapi.openapi.utils import get_openapi
 from pydantic.json_schema import models_json_schema
 
 from service.api.schemas import DeformBody, DeformReply, ProblemReply
+from service.core.arrays import GRID_SIZE
+from service.core.grids import pack_bits
 
 API_VERSION = "1.0.0"
 
@@ -42,6 +46,30 @@ def example_request() -> dict[str, Any]:
     """A request that runs as it stands: a box on a table, rendered at 160×120, pushed from the side."""
     example: dict[str, Any] = json.loads(EXAMPLE_FILE.read_text("utf-8"))
     return example
+
+
+def examples() -> dict[str, dict[str, Any]]:
+    """Requests that run as they stand, by what they show; `again` once its id is that of an earlier reply."""
+    frame = example_request()
+    block = np.zeros((GRID_SIZE,) * 3, bool)
+    block[16:48, 16:48, :32] = True
+    shape = {
+        "encoding": "bits",
+        "data": base64.b64encode(pack_bits(block).tobytes()).decode("ascii"),
+        "voxel_size_m": 0.003125,
+        "camera_from_grid": [[1, 0, 0, -0.1], [0, 0, -1, 0.1], [0, 1, 0, 0.5], [0, 0, 0, 1]],
+    }
+    load = {"contact_m": [0.0, 0.05, 0.55], "force_n": [0.0, 0.0, 2.0]}
+    material = {"name": "silicone"}
+    again = {"reconstruction_id": "0123456789abcdef0123456789abcdef", "material": material, "loads": frame["loads"]}
+    return {
+        "frame": {"summary": "A depth frame and one push", "value": frame},
+        "shape": {
+            "summary": "A known shape: a block of 10 cm half a metre in front of the camera",
+            "value": {"shape": shape, "material": material, "loads": [load]},
+        },
+        "again": {"summary": "What was reconstructed before, of another material", "value": again},
+    }
 
 
 def _deform() -> dict[str, Any]:
@@ -100,6 +128,7 @@ def document(app: FastAPI, *, secured: bool) -> dict[str, Any]:
         _, extra = models_json_schema(models, ref_template="#/components/schemas/{model}")  # type: ignore[arg-type]
         components = schema.setdefault("components", {})
         components.setdefault("schemas", {}).update(extra.get("$defs", {}))
+        components["examples"] = examples()
         if secured:
             components["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
             schema["security"] = [{"bearer": []}]

@@ -127,8 +127,20 @@ def test_the_example_is_a_request():
     assert len(request.source.depth.data) > 100
 
 
-def test_the_example_runs(live_service):
+def test_the_examples_run_in_their_order(live_service):
     httpx = pytest.importorskip("httpx")
-    reply = httpx.post(f"{live_service.url}/v1/deform", json=example_request(), timeout=30)
-    assert reply.status_code == 200, reply.text
-    assert reply.json()["loads"][0]["max_displacement_m"] > 0
+    api = httpx.get(f"{live_service.url}/openapi.json").json()
+    examples = api["components"]["examples"]
+    assert list(examples) == ["frame", "shape", "again"]
+    assert examples["frame"]["value"] == example_request()
+    first = ""
+    for name, example in examples.items():
+        body = example["value"]
+        if name == "again":
+            unknown = httpx.post(f"{live_service.url}/v1/deform", json=body, timeout=30)
+            assert (unknown.status_code, unknown.json()["code"]) == (410, "reconstruction_gone")
+            body["reconstruction_id"] = first
+        reply = httpx.post(f"{live_service.url}/v1/deform", json=body, timeout=30)
+        assert reply.status_code == 200, (name, reply.text)
+        assert reply.json()["loads"][0]["max_displacement_m"] > 0, name
+        first = first or reply.json()["reconstruction_id"]
