@@ -1,4 +1,4 @@
-"""The command line: `physnet serve | predict | materials | models | doctor | completion`."""
+"""The command line: `physnet serve | predict | replay | materials | models | doctor | completion`."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from service.commands.materials import add_materials
 from service.commands.models import add_models
 from service.commands.options import join_negatives
 from service.commands.predict import add_predict
+from service.commands.replay import add_replay
 from service.commands.serve import add_serve
 from service.core.errors import ModelMismatch, PhysNetError
 
@@ -52,6 +53,7 @@ def parser() -> argparse.ArgumentParser:
     # Each imports what it needs when it runs: `physnet materials` loads neither ONNX Runtime nor a web server.
     add_serve(commands)
     add_predict(commands)
+    add_replay(commands)
     add_materials(commands)
     add_models(commands)
     add_doctor(commands)

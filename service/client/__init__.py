@@ -13,7 +13,7 @@ from service.client.aio import AsyncPhysNetClient
 from service.client.client import PhysNetClient
 from service.client.errors import ServiceUnreachable, UnexpectedReply
 from service.client.frames import Answer
-from service.client.question import Camera, Image, Push, Question, Shape, question
+from service.client.question import Camera, Earlier, Image, Push, Question, Shape, question
 from service.client.result import Mesh, NotInReply, PushResult, Result
 from service.client.retry import Retry
 from service.client.transport import NamedMaterial
@@ -30,6 +30,7 @@ from service.core.errors import (
     Overloaded,
     PayloadTooLarge,
     PhysNetError,
+    ReconstructionGone,
     Unauthenticated,
     UnknownMaterial,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "Image",
     "Push",
     "Shape",
+    "Earlier",
     "Question",
     "question",
     "Result",
@@ -62,6 +64,7 @@ __all__ = [
     "ContactOffBody",
     "MaterialOutOfRange",
     "UnknownMaterial",
+    "ReconstructionGone",
     "PayloadTooLarge",
     "Unauthenticated",
     "Overloaded",

@@ -11,7 +11,7 @@ from service.client.aio_stream import AsyncFrameStream, carry_by_calls, carry_by
 from service.client.client import TIMEOUT_S
 from service.client.frames import BACKLOG, MAX_IN_FLIGHT, FrameBook
 from service.client.grpc_transport import AsyncGrpcTransport
-from service.client.question import Camera, Depth, MaterialLike, Options, Push, Question, Shape, question
+from service.client.question import Camera, Depth, Earlier, MaterialLike, Options, Push, Question, Shape, question
 from service.client.result import Result
 from service.client.retry import Attempts, Retry
 from service.client.transport import AsyncTransport, NamedMaterial, address
@@ -37,7 +37,7 @@ class AsyncPhysNetClient:
 
     async def deform(
         self,
-        depth: Depth | Shape,
+        depth: Depth | Shape | Earlier,
         camera: Camera | None = None,
         push: Push | Iterable[Push] = (),
         material: MaterialLike = "silicone",

@@ -15,7 +15,7 @@ from service.client import grpc_wire
 from service.client.errors import ServiceUnreachable
 from service.client.frames import Answer, Counts, Frame, FrameBook
 from service.client.grpc_transport import AsyncGrpcTransport
-from service.client.question import Camera, Depth, MaterialLike, Options, Push, Question, Shape, question
+from service.client.question import Camera, Depth, Earlier, MaterialLike, Options, Push, Question, Shape, question
 from service.client.result import Result
 from service.client.retry import Retry
 from service.core.errors import PhysNetError
@@ -44,7 +44,7 @@ class AsyncFrameStream:
 
     def send(
         self,
-        depth: Depth | Shape,
+        depth: Depth | Shape | Earlier,
         camera: Camera | None = None,
         push: Push | Iterable[Push] = (),
         material: MaterialLike = "silicone",

@@ -9,7 +9,7 @@ from typing import Any, TypeVar, Unpack
 
 from service.client.frames import BACKLOG, MAX_IN_FLIGHT, FrameBook
 from service.client.grpc_transport import GrpcTransport
-from service.client.question import Camera, Depth, MaterialLike, Options, Push, Question, Shape, question
+from service.client.question import Camera, Depth, Earlier, MaterialLike, Options, Push, Question, Shape, question
 from service.client.result import Result
 from service.client.retry import Attempts, Retry
 from service.client.stream import FrameStream, carry_by_calls, carry_by_grpc
@@ -52,7 +52,7 @@ class PhysNetClient:
 
     def deform(
         self,
-        depth: Depth | Shape,
+        depth: Depth | Shape | Earlier,
         camera: Camera | None = None,
         push: Push | Iterable[Push] = (),
         material: MaterialLike = "silicone",
@@ -63,7 +63,8 @@ class PhysNetClient:
         """The full shape of the object in a depth frame, and the shape it takes under each push.
 
         Args:
-            depth: Height × width, uint16 millimetres or float metres; a `.png` or `.npy` file; an `Image`; a `Shape`.
+            depth: Height × width, uint16 millimetres or float metres; a `.png` or `.npy` file; an `Image`; a `Shape`;
+                or `result.earlier`, the body of an answer before.
             camera: Its intrinsics.
             push: One load or several.
             material: A name, a `Material`, or (Young's modulus in Pa, Poisson's ratio).

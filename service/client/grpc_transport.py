@@ -11,6 +11,7 @@ import grpc
 from service.api.generated import deformation_pb2 as pb
 from service.api.generated.deformation_pb2_grpc import DeformationServiceStub
 from service.client import grpc_wire
+from service.client.errors import ServiceUnreachable
 from service.client.question import Question
 from service.client.result import Result
 from service.client.transport import NamedMaterial
@@ -42,8 +43,15 @@ class GrpcTransport:
         return _models(self._ask(self.stub.GetModel, pb.GetModelRequest(), timeout_s))
 
     def stream(self, frames: Iterator[pb.DeformStreamRequest]) -> Any:
-        """DeformationService.DeformStream: a call that can be iterated over and cancelled."""
-        return self.stub.DeformStream(frames, metadata=self.metadata)
+        """DeformationService.DeformStream: a call that can be iterated over and cancelled.
+
+        Raises:
+            ServiceUnreachable: The client is closed.
+        """
+        try:
+            return self.stub.DeformStream(frames, metadata=self.metadata)
+        except ValueError as error:  # grpc's word for it
+            raise ServiceUnreachable("The client is closed.") from error
 
     def close(self) -> None:
         """Close the connection."""
@@ -54,6 +62,8 @@ class GrpcTransport:
             return method(message, timeout=timeout_s, metadata=self.metadata)
         except grpc.RpcError as error:
             raise grpc_wire.error_of(error, timeout_s) from error
+        except ValueError as error:  # grpc's word for it
+            raise ServiceUnreachable("The client is closed.") from error
 
 
 class AsyncGrpcTransport:

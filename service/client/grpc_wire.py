@@ -16,7 +16,7 @@ from service.api.generated import deformation_pb2 as pb
 from service.client.errors import ServiceUnreachable, UnexpectedReply, problem_error, timed_out
 from service.client.frames import Answer, Frame
 from service.client.http_wire import displacement_from, occupancy_from, probability_from
-from service.client.question import Camera, Image, Push, Question, Shape, triple
+from service.client.question import Camera, Earlier, Image, Push, Question, Shape, triple
 from service.client.result import PushResult, Result
 from service.core.errors import PhysNetError
 from service.core.grids import Grid
@@ -63,10 +63,13 @@ def encode(question: Question) -> pb.DeformRequest:
         request.material.young_modulus_pa, request.material.poisson_ratio = map(float, question.material)
     if question.camera is not None:
         request.camera.CopyFrom(_camera(question.camera))
-    if isinstance(question.source, Shape):
-        request.shape.CopyFrom(_shape(question.source))
-    else:
-        request.depth.CopyFrom(_depth(question.source))
+    match question.source:
+        case Shape():
+            request.shape.CopyFrom(_shape(question.source))
+        case Earlier():
+            request.reconstruction_id = question.source.reconstruction_id
+        case Image():
+            request.depth.CopyFrom(_depth(question.source))
     if question.mask is not None:
         request.mask.encoding = pb.MASK_ENCODING_PNG8
         request.mask.data = question.mask.data
@@ -133,8 +136,7 @@ def result(response: pb.DeformResponse) -> Result:
         pushes=tuple(_push_result(load, grid) for load in response.loads),
         flags=frozenset(response.flags),
         timing_ms=dict(response.timing_ms),
-        # An older service has no such field.
-        reconstruction_id=getattr(response, "reconstruction_id", "") or None,
+        reconstruction_id=response.reconstruction_id if given("reconstruction_id") else None,
     )
 
 

@@ -51,7 +51,7 @@ class HttpTransport:
     def _ask(self, method: str, path: str, timeout_s: float, **more: Any) -> Any:
         try:
             reply = self._http.request(method, path, timeout=timeout_s, **more)
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, RuntimeError) as error:  # the latter where the client is closed
             raise _failure(error, timeout_s) from error
         return http_wire.decode(reply.status_code, reply.headers, reply.content)
 
@@ -87,7 +87,7 @@ class AsyncHttpTransport:
                 reply = await self._http.request(method, path, timeout=timeout_s, **more)
         except TimeoutError as error:
             raise timed_out(timeout_s) from error
-        except httpx.HTTPError as error:
+        except (httpx.HTTPError, RuntimeError) as error:  # the latter where the client is closed
             raise _failure(error, timeout_s) from error
         return http_wire.decode(reply.status_code, reply.headers, reply.content)
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from service.client.errors import ServiceUnreachable, UnexpectedReply, problem_error
-from service.client.question import Camera, Image, Push, Question, Shape, triple
+from service.client.question import Camera, Earlier, Image, Push, Question, Shape, triple
 from service.client.result import PushResult, Result
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.errors import PhysNetError
@@ -36,10 +36,13 @@ def body(question: Question) -> dict[str, Any]:
     }
     if question.camera is not None:
         document["camera"] = _camera(question.camera)
-    if isinstance(question.source, Shape):
-        document["shape"] = _shape(question.source)
-    else:
-        document["depth"] = _image(question.source)
+    match question.source:
+        case Shape():
+            document["shape"] = _shape(question.source)
+        case Earlier():
+            document["reconstruction_id"] = question.source.reconstruction_id
+        case Image():
+            document["depth"] = _image(question.source)
     if question.mask is not None:
         document["mask"] = {"encoding": question.mask.encoding}
     for name in ("up", "roi", "threshold"):
@@ -50,7 +53,7 @@ def body(question: Question) -> dict[str, Any]:
 
 def files(question: Question) -> dict[str, bytes]:
     """The images, as the file parts of a multipart request."""
-    parts = {} if isinstance(question.source, Shape) else {"depth": question.source.data}
+    parts = {"depth": question.source.data} if isinstance(question.source, Image) else {}
     return parts if question.mask is None else parts | {"mask": question.mask.data}
 
 

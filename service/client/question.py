@@ -121,18 +121,29 @@ class Shape:
         return np.packbits(np.asarray(self.occupancy, np.bool_).ravel(), bitorder="little").tobytes()
 
 
+@dataclass(frozen=True)
+class Earlier:
+    """The body that an earlier answer reconstructed (`Result.earlier`), in place of a depth image.
+
+    Attributes:
+        reconstruction_id: That of the answer. The service keeps it for a bounded time.
+    """
+
+    reconstruction_id: str
+
+
 Depth: TypeAlias = np.ndarray | Image | str | Path
 MaterialLike: TypeAlias = str | Material | tuple[float | int, float | int]
 
 
 @dataclass(frozen=True)
 class Question:
-    """A request, complete. `source` is a depth image or a known shape; `camera` goes with the first.
+    """A request, complete. `source` is a depth image, a known shape or an earlier body; `camera` goes with the first.
 
     `material` is a name or (Young's modulus in Pa, Poisson's ratio).
     """
 
-    source: Image | Shape
+    source: Image | Shape | Earlier
     camera: Camera | None
     pushes: tuple[Push, ...]
     material: str | tuple[float | int, float | int]
@@ -167,7 +178,7 @@ class Options(TypedDict, total=False):
 
 
 def question(
-    depth: Depth | Shape,
+    depth: Depth | Shape | Earlier,
     camera: Camera | None = None,
     push: Push | Iterable[Push] = (),
     material: MaterialLike = "silicone",
@@ -177,7 +188,7 @@ def question(
 
     Args:
         depth: Height × width array, uint16 (millimetres, 0 for no reading) or float (metres, NaN for no reading); a
-            file (`.png`, `.npy`); an `Image` with the bytes as they came; or a `Shape`.
+            file (`.png`, `.npy`); an `Image` with the bytes as they came; a `Shape`; or `result.earlier`.
         camera: Intrinsics; needed with a depth image.
         push: One load or several, each answered on its own; many cost little more than one.
         material: A name (`client.materials()`), a `Material`, or (Young's modulus in Pa, Poisson's ratio).
@@ -193,7 +204,7 @@ def question(
     assert not isinstance(chosen, Material)
     mask, up, roi = options.get("mask"), options.get("up"), options.get("roi")
     return Question(
-        source=depth if isinstance(depth, Shape) else depth_image(depth, options.get("unit_m")),
+        source=depth if isinstance(depth, Shape | Earlier) else depth_image(depth, options.get("unit_m")),
         camera=camera,
         pushes=pushes,
         material=chosen,

@@ -10,6 +10,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from service.client.displacement import Configuration, displacement_at
+from service.client.question import Earlier
 from service.core.arrays import Occupancy, Points, Probability
 from service.core.grids import Grid, transform_points
 from service.core.surface_mesh import Faces, surface_mesh
@@ -131,6 +132,17 @@ class Result:
 
     def __iter__(self) -> Iterator[PushResult]:
         return iter(self.pushes)
+
+    @property
+    def earlier(self) -> Earlier:
+        """This body, to be asked about again without its frame: `client.deform(result.earlier, push=…)`.
+
+        Raises:
+            NotInReply: The service keeps none.
+        """
+        if self.reconstruction_id is None:
+            raise NotInReply("the service keeps no reconstructions: send the frame again")
+        return Earlier(self.reconstruction_id)
 
     @property
     def observed(self) -> Occupancy:

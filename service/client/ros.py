@@ -17,7 +17,7 @@ from service.core.arrays import Matrix3, Points
 
 DEPTH_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 INFO_TYPE = "sensor_msgs/msg/CameraInfo"
-TF_TYPE = "tf2_msgs/msg/TFMessage"
+TF_TYPES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 
 _RAW = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
 _FLOAT32 = 7  # of sensor_msgs/PointField

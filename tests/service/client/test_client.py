@@ -17,6 +17,7 @@ from service.client import (
     Camera,
     ContactOffBody,
     DeadlineExceeded,
+    Earlier,
     Image,
     InvalidRequest,
     NotInReply,
@@ -32,7 +33,7 @@ from service.client import (
     UnknownMaterial,
 )
 from service.core import errors as core_errors
-from service.core.messages import KnownShape, Observation
+from service.core.messages import EarlierReconstruction, KnownShape, Observation
 from tests.service.box_scene import BoxScene
 from tests.service.fakes import FakePredictor, Running, fake_result, running
 
@@ -176,6 +177,15 @@ def test_bytes_go_as_they_came(client, service, encoding):
     depth = service.predictor.asked[-1].source.depth
     # The fake predictor decodes nothing, so what arrived is what was sent.
     assert (depth.encoding, depth.data, depth.unit_m) == (encoding, b"\x00\x01" * 20, 0.002)
+
+
+def test_a_body_is_asked_about_again_by_its_id(client, service):
+    """Without the frame: what was reconstructed once need not be again."""
+    client.deform(Earlier("abc"), push=PUSH, material=SOFT)
+    asked = service.predictor.asked[-1]
+    assert asked.source == EarlierReconstruction("abc")
+    with pytest.raises(NotInReply, match="send the frame again"):
+        _ = client.deform(SCENE.counts(), CAMERA, PUSH, SOFT).earlier
 
 
 def test_a_problem_is_raised_as_its_class_with_code_and_field(client):

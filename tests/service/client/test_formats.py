@@ -145,8 +145,8 @@ def test_octomap_of_a_result_stands_in_the_camera_frame(tmp_path):
 
 def test_cells_along_the_camera_are_those_whose_centres_are_in_the_body():
     cells = cells_along_camera(RESULT.deformed, GRID)
-    everywhere = np.stack(np.meshgrid(*[np.arange(low - 2, high + 3) for low, high in
-                                        zip(cells.min(0), cells.max(0), strict=True)], indexing="ij"), -1).reshape(-1, 3)  # fmt: skip
+    axes = [np.arange(low - 2, high + 3) for low, high in zip(cells.min(0), cells.max(0), strict=True)]
+    everywhere = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     centres_m = (everywhere + 0.5) * PITCH_M
     voxels = np.floor((centres_m - GRID.camera_from_grid[:3, 3]) @ GRID.camera_from_grid[:3, :3] / PITCH_M).astype(int)
     inside = ((voxels >= 0) & (voxels < 64)).all(1)
