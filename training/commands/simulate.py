@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from training.commands.grammar import UNITS_M
+
+if TYPE_CHECKING:
+    from training.data.catalogue import DataSet
 
 
 def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the command."""
-    from training.data.catalogue import SETS
+    from training.data.catalogue import GROUPS_OF_MESHES, MESHES, SETS
     from training.data.generate import ENGINES
 
     listing = "\n".join(f"  {name:15} {data_set.groups:5} groups: {data_set.about}" for name, data_set in SETS.items())
+    listing += f"\n  {MESHES:15} {GROUPS_OF_MESHES:5} groups: your own objects, from the folder --meshes"
     parser = commands.add_parser(
         "simulate",
         help="draw a data set; what is already there is kept",
         description=f"Draw a data set:\n\n{listing}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("set", choices=SETS, metavar="SET", help="name of a data set")
+    parser.add_argument("set", choices=[*SETS, MESHES], metavar="SET", help="name of a data set")
+    parser.add_argument("--meshes", type=Path, metavar="DIR", help="folder of watertight meshes of your own")
+    parser.add_argument("--unit", choices=UNITS_M, default="m", help="length unit of these files")
+    parser.add_argument("--up", choices=["x", "y", "z"], default="z", help="their axis that points up")
     size = parser.add_mutually_exclusive_group()
     size.add_argument("--groups", type=int, help="bodies to draw; all of the set if not given")
     size.add_argument("--fraction", type=float, help="part of the whole set to draw, in (0, 1]")
@@ -33,12 +45,45 @@ def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(run=_simulate)
 
 
+def _own_meshes(options: argparse.Namespace) -> DataSet:
+    """The set of a folder; says of each mesh what is wrong with it before anything is drawn."""
+    from training.data.catalogue import GROUPS_OF_MESHES, DataSet
+    from training.data.meshes import meshes_in
+    from training.simulation.mesh import MeshError, load_triangles
+
+    config = meshes_in(options.meshes, UNITS_M[options.unit], options.up, options.seed)
+    good = []
+    for name, digest in config.files:
+        try:
+            with warnings.catch_warnings(record=True) as told:
+                warnings.simplefilter("always")
+                load_triangles(options.meshes / name, config.unit_m)
+        except MeshError as error:
+            print(f"physnet-train: left out: {error}", file=sys.stderr)
+            continue
+        for warning in told:
+            print(f"physnet-train: {warning.message}", file=sys.stderr)
+        good.append((name, digest))
+    if not good:
+        raise MeshError(f"no mesh in {options.meshes} can be used")
+    config = dataclasses.replace(config, files=tuple(good))
+    return DataSet(config, GROUPS_OF_MESHES, "your own objects")
+
+
 def _simulate(options: argparse.Namespace) -> int:
-    from training.data.catalogue import SETS
+    from training.data.catalogue import MESHES, SETS
     from training.data.generate import fill
     from training.data.store import Store, StoreError
+    from training.simulation.mesh import MeshError
 
-    data_set = SETS[options.set].with_seed(options.seed)
+    if (options.set == MESHES) != (options.meshes is not None):
+        print(f"physnet-train: the set {MESHES} and --meshes DIR belong together", file=sys.stderr)
+        return 2
+    try:
+        data_set = _own_meshes(options) if options.set == MESHES else SETS[options.set].with_seed(options.seed)
+    except MeshError as error:
+        print(f"physnet-train: {error}", file=sys.stderr)
+        return 2
     groups = data_set.groups if options.groups is None else options.groups
     if options.fraction is not None:
         if not 0.0 < options.fraction <= 1.0:

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from training.data import everyday, paper, partial_views, views
+from training.data import everyday, meshes, paper, partial_views, views
 from training.data.everyday import EverydayConfig
+from training.data.meshes import MeshesConfig
 from training.data.paper import PaperConfig
 from training.data.partial_views import PartialViewsConfig
 from training.data.samples import YOUNG_MAX_PA
@@ -34,7 +35,7 @@ _PAPER_LOADS = EverydayConfig(
 _STRETCH = PaperConfig(young_modulus_pa=(1e9, 1e9, 1), force_n=(2e6, 1), scales=(0.85, 1.2, 8), cells=40)
 
 Draw = Callable[[int], dict[str, np.ndarray]]
-Config = EverydayConfig | ViewsConfig | PaperConfig | PartialViewsConfig
+Config = EverydayConfig | ViewsConfig | PaperConfig | PartialViewsConfig | MeshesConfig
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,8 @@ class DataSet:
     def draw(self) -> Draw:
         """From a group's index to its arrays; picklable."""
         match self.config:
+            case MeshesConfig():
+                return functools.partial(meshes.draw_group, self.config)
             case EverydayConfig():
                 return functools.partial(everyday.draw_group, self.config)
             case ViewsConfig():
@@ -79,6 +82,12 @@ class DataSet:
         """What the manifest says."""
         return {"set": name, "groups": groups, **dataclasses.asdict(self.config)}
 
+
+MESHES = "meshes"
+"""The set that is not in `SETS`: what it draws is in somebody's folder (`training.data.meshes.meshes_in`)."""
+
+GROUPS_OF_MESHES = 400
+"""An evening on two cores; twenty bodies of each of twenty meshes."""
 
 SETS: dict[str, DataSet] = {
     "everyday": DataSet(EverydayConfig(), 2000, "bodies of all families under random pushes, neo-Hookean; the default"),
