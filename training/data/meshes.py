@@ -78,7 +78,8 @@ def draw_group(config: MeshesConfig, index: int) -> dict[str, np.ndarray]:
     except (MeshError, OSError) as error:
         raise Dropped("mesh") from error
     if index >= len(config.files):
-        x, y, z = np.exp(rng.uniform(*np.log(config.stretched), 3))
+        low, high = np.log(config.stretched)
+        x, y, z = np.exp(rng.uniform(low, high, 3))
         shape = shape.stretched((float(x), float(y), float(z)))
     return draw_samples(config.pushes, Path(name).stem, shape, config.pushes.cells, rng)
 
