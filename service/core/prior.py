@@ -13,6 +13,7 @@ from service.core.condition import POISSON_RATIO_MAX, Condition
 from service.core.prior_corotational import CorotationalSolver
 from service.core.prior_field import backward_field
 from service.core.prior_grid import CellGrid
+from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_force
 
 CELLS = 125
@@ -31,10 +32,12 @@ class PriorSolution:
         nodal: Forward displacement of the coarse nodes (see `ElasticPrior.grid`).
         backward: u_b on a lattice of 32³, node i at (i + ½)/32: the material at y was at rest at y − u_b(y). Outside
             the deformed body the field continues smoothly.
+        forward: u(x) on a lattice of 16³, node i at (i + ½)/16: where the material at x at rest goes.
     """
 
     nodal: Float32[np.ndarray, "loads axis=3 n"]
     backward: Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]
+    forward: Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]
 
 
 class ElasticPrior:
@@ -71,4 +74,5 @@ class ElasticPrior:
         nodal = self.solver.solve(self.forces(conditions), steps)
         gradient = self.solver.deformation_gradient(nodal)
         fields = [backward_field(self.grid, nodal[:, i], gradient[:, :, i]) for i in range(len(conditions))]
-        return PriorSolution(np.ascontiguousarray(nodal.transpose(1, 0, 2)), np.stack(fields))
+        forward = forward_lattice(self.grid, nodal)
+        return PriorSolution(np.ascontiguousarray(nodal.transpose(1, 0, 2)), np.stack(fields), forward)

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.core.lookup import stacked, trilinear, warp
+from service.core.lookup import smoothed, stacked, trilinear, warp
 
 PLACES = np.random.default_rng(1).uniform(0.0, 63.0, (3, 64, 64, 64)).astype(np.float32)
 
@@ -49,7 +49,7 @@ def test_warping_a_part_of_the_grid_is_warping_all_of_it() -> None:
     coarse = np.random.default_rng(1).normal(0.0, 0.03, (3, 4, 4, 4)).astype(np.float32)
     displacement = np.ascontiguousarray(coarse.repeat(16, 1).repeat(16, 2).repeat(16, 3))
     indices = np.indices((64, 64, 64)).astype(np.float32)
-    expected = trilinear(rest.astype(np.float32), *(indices - 64 * displacement))
+    expected = trilinear(smoothed(rest), *(indices - 64 * displacement))
     np.testing.assert_allclose(warp(rest, displacement), expected, atol=1 / 16)
     assert (expected > 0).sum() > 2000
     assert not warp(np.zeros_like(rest), displacement).any()
@@ -69,4 +69,31 @@ def test_a_constant_displacement_moves_the_body_by_as_many_voxels(axis: int) -> 
 
 def test_no_displacement_returns_the_body() -> None:
     rest = np.random.default_rng(2).random((64, 64, 64)) < 0.4
-    np.testing.assert_array_equal(warp(rest, np.zeros((3, 64, 64, 64), np.float32)), rest.astype(np.float32))
+    still = warp(rest, np.zeros((3, 64, 64, 64), np.float32))
+    np.testing.assert_array_equal(still > 0.5, rest)
+    np.testing.assert_allclose(still, smoothed(rest), atol=1e-6)
+
+
+def test_smoothing_finds_a_surface_between_voxels() -> None:
+    """A half space under a plane that cuts the voxels askew: ½ is crossed within a third of a voxel of the plane."""
+    x, y, z = (np.indices((24, 24, 24)) + 0.5).astype(np.float32)
+    normal = np.array([0.27, 0.13, 1.0]) / np.linalg.norm([0.27, 0.13, 1.0])
+    height = normal[0] * x + normal[1] * y + normal[2] * z - 14.2
+    values = smoothed(height < 0.0)
+    raw = (height < 0.0).astype(np.float32)
+
+    def missed(field: np.ndarray) -> float:
+        below = field[8:16, 8:16, 3:21]
+        column = np.argmax(below < 0.5, axis=2)
+        first, last = (np.take_along_axis(below, (column - i)[..., None], 2)[..., 0] for i in (1, 0))
+        crossing = 3.5 + column - 1 + (first - 0.5) / (first - last)
+        truth = (14.2 - normal[0] * x[8:16, 8:16, 0] - normal[1] * y[8:16, 8:16, 0]) / normal[2]
+        return float(np.sqrt(np.mean((crossing - truth) ** 2)))
+
+    assert missed(values) < 0.2 < missed(raw)
+
+
+def test_a_rod_one_voxel_thin_survives_smoothing() -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[30, 30, :40] = True
+    np.testing.assert_array_equal(smoothed(rest) > 0.5, rest)
