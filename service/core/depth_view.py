@@ -72,6 +72,14 @@ class DepthView:
         column = np.flatnonzero(where) - row * columns
         return row * self.stride + self.first_pixel[0], column * self.stride + self.first_pixel[1]
 
+    def part(self, window: Window) -> DepthView:
+        """A window of the view itself."""
+        first_pixel = tuple(
+            first + self.stride * side.start for first, side in zip(self.first_pixel, window, strict=True)
+        )
+        images = (np.ascontiguousarray(image[window]) for image in (self.z_m, self.ray_x, self.ray_y))
+        return DepthView(*images, (first_pixel[0], first_pixel[1]), self.stride)
+
     def crop(self, mask: Mask) -> Bool[np.ndarray, "rows columns"]:
         """The view's own pixels of a mask of the whole image."""
         rows, columns = self.z_m.shape
@@ -112,21 +120,22 @@ def on_surface(z_m: Float32[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "ro
     jump_m = np.maximum(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * z_m)
     has_level_neighbour = np.zeros(z_m.shape, np.bool_)
     on_ramp = np.zeros(z_m.shape, np.bool_)
-    low_m = -jump_m
     # Comparisons with NaN are false: a hole is neither a level neighbour nor a jump.
     for before, after in (
         ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
         ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
     ):
         step_m = z_m[after] - z_m[before]
-        rises, falls = step_m > jump_m[after], step_m < low_m[after]
-        level = ~(rises | falls)
-        level &= step_m == step_m
+        jump_here_m = jump_m[after]
+        rises = step_m > jump_here_m
+        level = np.abs(step_m, out=step_m) <= jump_here_m
+        jumps = step_m > jump_here_m
         has_level_neighbour[after] |= level
         has_level_neighbour[before] |= level
-        # The step into a pixel and the step out of it: the inner pixels of both arrays of steps.
-        on_ramp[after][before] |= rises[before] & rises[after]
-        on_ramp[after][before] |= falls[before] & falls[after]
+        # The step into a pixel and the step out of it, both jumps in one direction: the inner pixels of both arrays.
+        one_way = jumps[before] & jumps[after]
+        one_way &= rises[before] == rises[after]
+        on_ramp[after][before] |= one_way
     return has_level_neighbour & ~on_ramp
 
 

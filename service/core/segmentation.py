@@ -31,9 +31,10 @@ CONTACT_REACH = 0.3
 BORDER_PX = 2
 """An object with a pixel this near to the image border is taken as cut by it."""
 
-CORE_TOLERANCES = (2.0, 4.0, 8.0)
+CORE_TOLERANCES = (2.0, 4.0, 8.0, 1.0)
 """Only points this many plane tolerances high link into one object, so that noise of the table links none; the next
-level is tried where the object comes out too wide, so that low things do not link it to what is around it."""
+level is tried where the object comes out too wide, so that low things do not link it to what is around it. The lowest
+level comes last: it is for flat things, and links through the noise of the table."""
 
 MAX_EXTENT_M = 0.5
 """An object wider than this is taken for several, if a higher level of linking takes it apart."""
@@ -191,11 +192,18 @@ def _find_object(
     level = support.fitted.normal if support is not None else IMAGE_UP if up is None else up
     stride = max(1, round(intrinsics.width / COARSE_WIDTH))
     view = view_depth(depth_m, intrinsics, window, stride)
+    clearance = None
+    if support is not None:
+        clearance = support.clearance(view)
+        above = clearance > CORE_TOLERANCES[-1]
+        if not above.any():
+            return None
+        # The table is most of an image. One pixel more on each side tells what hangs in the air there.
+        standing = window_around(above, margin_px=1)
+        view, clearance = view.part(standing), clearance[standing]
     surface = on_surface(view.z_m)
-    clearance = None if support is None else support.clearance(view)
     found: tuple[Footprints, int, Window] | None = None
-    # The lowest level comes last: it is for flat things, and links through the noise of the table.
-    for tolerances in (*CORE_TOLERANCES, 1.0):
+    for tolerances in CORE_TOLERANCES:
         core = surface if clearance is None else surface & (clearance > tolerances)
         points = view.points(core)
         footprints = find_footprints(points, level, place_m)
@@ -251,12 +259,13 @@ def _finish(
     support: Support | None,
     up: Vector3 | None,
 ) -> Segment:
+    _require_count(len(points), "Too few points are left of the object.", "depth")
     pixels = np.zeros((intrinsics.height, intrinsics.width), np.bool_)
-    pixels[row, column] = True
-    _require_points(pixels, "Too few points are left of the object.", "depth")
+    pixels.ravel()[row * intrinsics.width + column] = True
     flags = set()
-    inner = pixels[BORDER_PX:-BORDER_PX, BORDER_PX:-BORDER_PX]
-    if np.count_nonzero(inner) < len(points):
+    # Rows are in order.
+    margin = min(row[0], column.min(), intrinsics.height - 1 - row[-1], intrinsics.width - 1 - column.max())
+    if margin < BORDER_PX:
         flags.add("object_cut_by_border")
     plane = None if support is None else support.answered
     if plane is None:
@@ -303,6 +312,9 @@ def _roi_window(roi: tuple[int, int, int, int] | None, intrinsics: Intrinsics) -
 
 
 def _require_points(pixels: Bool[np.ndarray, "rows columns"], message: str, field: str) -> None:
-    count = int(np.count_nonzero(pixels))
+    _require_count(int(np.count_nonzero(pixels)), message, field)
+
+
+def _require_count(count: int, message: str, field: str) -> None:
     if count < MIN_OBJECT_POINTS:
         raise EmptyObject(message, field=field, expected=f"at least {MIN_OBJECT_POINTS} points", actual=count)

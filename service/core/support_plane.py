@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -137,9 +138,8 @@ def _hypotheses(
     points: Points, weights: Float32[np.ndarray, " n"], up: Vector3 | None
 ) -> tuple[Float32[np.ndarray, "k 3"], Float32[np.ndarray, " k"]]:
     """Planes through triples of points drawn by weight, with the camera above them; level ones too if `up` is known."""
-    rng = np.random.default_rng(0)
     cumulative = np.cumsum(weights, dtype=np.float64)
-    drawn = np.searchsorted(cumulative, rng.random((3, HYPOTHESES)) * cumulative[-1])
+    drawn = np.searchsorted(cumulative, _draws() * cumulative[-1])
     first, second, third = points[np.minimum(drawn, len(points) - 1)].astype(np.float64)
     normals = np.cross(second - first, third - first)
     length = np.linalg.norm(normals, axis=1)
@@ -154,6 +154,14 @@ def _hypotheses(
         normals = np.concatenate([normals[level], np.broadcast_to(up, (len(heights), 3))])
         offsets = np.concatenate([offsets[level], -heights])
     return normals.astype(np.float32), offsets.astype(np.float32)
+
+
+@cache
+def _draws() -> Float64[np.ndarray, "corners=3 k"]:
+    """Where in the points' cumulative weight each hypothesis takes its three: always the same places."""
+    draws = np.random.default_rng(0).random((3, HYPOTHESES))
+    draws.flags.writeable = False
+    return draws
 
 
 def _refine(
