@@ -57,7 +57,8 @@ def main() -> None:
     if not allowed:
         raise SystemExit(f"every push moves more than {given.limit_mm:g} mm")
     best = max(allowed, key=lambda number: moved_mm[number])
-    print(f"chosen: {360 * best // DIRECTIONS}°, {moved_mm[best]:.1f} mm; answered in {result.timing_ms['total']:.0f} ms")
+    took_ms = result.timing_ms["total"]
+    print(f"chosen: {360 * best // DIRECTIONS}°, {moved_mm[best]:.1f} mm; {DIRECTIONS} pushes in {took_ms:.0f} ms")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ import asyncio
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
@@ -146,8 +147,10 @@ def test_the_latest_answer_leaves_older_ones(service, gate, wire):
 
 def test_a_service_that_is_started_again_is_found_again():
     ports = dict(zip(("http_port", "grpc_port"), _free_ports(), strict=True))
-    with PhysNetClient(f"grpc://127.0.0.1:{ports['grpc_port']}") as client, client.stream() as stream:
+    with ExitStack() as stack:
         with running(FakePredictor(), **ports):
+            client = stack.enter_context(PhysNetClient(f"grpc://127.0.0.1:{ports['grpc_port']}"))
+            stream = stack.enter_context(client.stream())
             stream.send(*ARGUMENTS)
             assert outcome(stream.next(timeout_s=20.0)) == (0, "answer")
         # Frames that are sent while nobody is there fail, or wait to be overtaken; none is lost without a word.

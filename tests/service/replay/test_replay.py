@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -249,9 +251,17 @@ def test_the_embedded_predictor_refuses_in_the_services_words():
 
 
 def test_a_rerun_recording_is_written_on_request(bag, embedded, tmp_path):
-    rerun = pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'physnet[rerun]'")
+    pytest.importorskip("rerun", reason="rerun-sdk is not installed: pip install 'physnet[rerun]'")
     out = tmp_path / "out.rrd"
     assert main(["replay", bag, *PUSH, "--limit", "2", "--rate", "0", "--rerun", str(out)]) == OK
-    recording = rerun.dataframe.load_recording(out)
-    columns = {column.entity_path for column in recording.schema().component_columns()}
-    assert {"/camera/deformed", "/camera/reconstruction", "/camera/voxels", "/camera/image/depth"} <= columns
+    tool = [sys.executable, "-m", "rerun", "rrd"]
+    subprocess.run([*tool, "verify", str(out)], check=True, capture_output=True, timeout=60)
+    chunks = subprocess.run([*tool, "print", str(out)], check=True, capture_output=True, text=True, timeout=60).stdout
+    logged = {
+        "/camera/image": "Pinhole:image_from_camera", "/camera/image/depth": "DepthImage:buffer",
+        "/camera/reconstruction": "Mesh3D:vertex_positions", "/camera/deformed": "Mesh3D:vertex_colors",
+        "/camera/voxels": "Points3D:positions", "/camera/force": "Arrows3D:vectors",
+        "/figures/round_trip_ms": "Scalars:scalars", "/flags": "TextLog:text",
+    }  # fmt: skip
+    for path, column in logged.items():
+        assert any(f" - {path} - " in line and column in line for line in chunks.splitlines()), f"{path}\n{chunks}"
