@@ -44,9 +44,16 @@ serve: $(BASE)/.installed-demo ## Run the service on 127.0.0.1:8000; SERVE_FLAGS
 train: $(FULL)/.installed ## Run physnet-train; TRAIN_FLAGS="simulate --help"
 	"$(FULL_PYTHON)" -m training $(TRAIN_FLAGS)
 
+docs: $(FULL)/.installed ## Build the documentation into build/site, warnings are errors
+	$(call say,docs: mkdocs)
+	NO_MKDOCS_2_WARNING=1 "$(FULL_PYTHON)" -m mkdocs build --strict --quiet
+
+figures: $(FULL)/.installed ## Draw the pictures of docs/pipeline again: after new models or changed stages
+	"$(FULL_PYTHON)" docs/figures/pipeline.py
+
 ##@ Check
 
-test: lint types imports test-base test-training ## Everything: lint, types, import directions, both test suites
+test: lint types imports docs test-base test-training ## Everything: lint, types, import directions, both test suites
 	$(call say,all checks passed)
 	@tail -n 1 build/test-base.log build/test-training.log
 
@@ -121,7 +128,7 @@ $(BASE)/.installed-test: $(BASE)/.installed-demo
 $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 	$(call say,$(FULL): installing everything with torch; a minute or more)
 	"$(FULL_PYTHON)" -m pip $(PIP_FLAGS) install $(if $(TORCH_INDEX),--extra-index-url "$(TORCH_INDEX)") \
-		--editable ".[training,cluster,pictures,test,oracle,lint]"
+		--editable ".[training,cluster,pictures,test,oracle,lint,docs]"
 	@touch "$@"
 
 # One exact version: proto/generate.py says why. Its wheels are for Python 3.11 and 3.12.
@@ -131,4 +138,4 @@ $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 	@touch "$@"
 
 .NOTPARALLEL:
-.PHONY: demo serve train test lint types imports test-base test-training format proto proto-lint environments wheel clean help
+.PHONY: demo docs figures serve train test lint types imports test-base test-training format proto proto-lint environments wheel clean help

@@ -63,7 +63,7 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         parser.add_argument("--picture", type=Path, metavar="PNG", help="draw the answer (needs physnet[pictures])"),
         FILE,
     )
-    parser.add_argument("--server", metavar="URL", help="ask this service, such as http://127.0.0.1:8000")
+    parser.add_argument("--server", metavar="URL", help="ask this service: http://127.0.0.1:8000 or grpc://127.0.0.1:8001")
     parser.set_defaults(run=_run)
 
 
@@ -101,7 +101,14 @@ def _ask_service(url: str, question: Question, settings: Settings) -> Result:
     from service.client import PhysNetClient
 
     token = settings.token.get_secret_value() if settings.token else None
-    with PhysNetClient(url, token=token) as client:
+    try:
+        client = PhysNetClient(url, token=token)
+    except ModuleNotFoundError as missing:
+        reason = f"needs {missing.name}: pip install 'physnet[client]', or ask over gRPC (grpc://HOST:8001)"
+        raise UsageError(f"--server: {url} {reason}") from None
+    except ValueError as error:
+        raise UsageError(f"--server: {error}") from None
+    with client:
         return client.ask(question)
 
 
