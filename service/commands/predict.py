@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from service.commands import files, grammar
+from service.commands import grammar
 from service.commands.exits import EPILOG, FAILED, OK, REFUSED, UsageError
 from service.commands.options import FILE, MATERIAL, complete_with, models_options, output_options, settings_of
 from service.commands.terminal import Terminal
@@ -55,7 +55,7 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     complete_with(
         parser.add_argument(
             "-o", "--output", type=Path, action="append", default=[], metavar="FILE",
-            help=f"write the answer, as its suffix says: {' '.join(files.SUFFIXES)}; may be given again",
+            help="write the answer, as its suffix says: .npz .ply .glb .bt .binvox; may be given again",
         ),
         FILE,
     )  # fmt: skip
@@ -68,12 +68,13 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
 
 
 def _run(given: argparse.Namespace) -> int:
+    from service.api.problem import ValidationFailed
+    from service.client.formats.files import SUFFIXES
+
     terminal = Terminal(given.color)
     for path in given.output:
-        if path.suffix not in files.SUFFIXES:
-            raise UsageError(f"--output: {path} must end in one of {' '.join(files.SUFFIXES)}")
-    from service.api.problem import ValidationFailed
-
+        if path.suffix.lower() not in SUFFIXES:
+            raise UsageError(f"--output: {path} must end in one of {' '.join(SUFFIXES)}")
     settings = settings_of(given)
     try:
         question = grammar.question_of(given)
@@ -89,7 +90,7 @@ def _run(given: argparse.Namespace) -> int:
         raise
     except (PhysNetError, ValidationFailed) as error:
         return _tell_refusal(error, given.json, terminal)
-    written = [files.write(result, path) for path in given.output]
+    written = [result.save(path) for path in given.output]
     if given.picture:
         given.picture.write_bytes(_picture(question, result))
         written.append(given.picture)
