@@ -65,13 +65,7 @@ def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] 
     Raises:
         InvalidRequest: Or one of its kin, with the path of the offending field.
     """
-    if len(body.loads) > max_loads:
-        raise InvalidRequest(
-            f"A request may carry {max_loads} loads; send the others in further requests.",
-            field="loads",
-            expected=f"at most {max_loads}",
-            actual=len(body.loads),
-        )
+    check_load_count(len(body.loads), max_loads)
     return DeformRequest(
         source=_source(body, files),
         material=_material(body.material),
@@ -80,6 +74,21 @@ def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] 
         threshold=body.threshold,
         uncertainty_samples=body.uncertainty_samples,
     )
+
+
+def check_load_count(count: int, max_loads: int) -> None:
+    """Refuse more loads than one request may carry.
+
+    Raises:
+        InvalidRequest: There are more.
+    """
+    if count > max_loads:
+        raise InvalidRequest(
+            f"A request may carry {max_loads} loads; send the others in further requests.",
+            field="loads",
+            expected=f"at most {max_loads}",
+            actual=count,
+        )
 
 
 def _source(body: DeformBody, files: Mapping[str, bytes] | None) -> Observation | KnownShape | EarlierReconstruction:

@@ -69,7 +69,10 @@ class DeformationService:
             return rpc_convert.get_model(m for m in manifests if request.name in ("", m.name))
 
     def _question(self, request: pb.DeformRequest) -> DeformRequest:
-        return convert.deform_request(rpc_convert.parse_request(request), self._settings.max_loads)
+        max_loads = self._settings.max_loads
+        body = rpc_convert.parse_request(request, max_loads)
+        convert.check_load_count(len(request.loads), max_loads)
+        return convert.deform_request(body, max_loads)
 
     async def _response(
         self,

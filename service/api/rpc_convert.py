@@ -46,14 +46,16 @@ _OUTPUTS = ("reconstruction", "deformed", "probability", "displacement", "scene"
 # --- requests ---------------------------------------------------------------------------------------------------
 
 
-def parse_request(message: pb.DeformRequest) -> DeformBody:
+def parse_request(message: pb.DeformRequest, max_loads: int) -> DeformBody:
     """A message as the request body that the same request in JSON would be.
+
+    Of its loads `max_loads` and one are read: thousands would hold up every other stream, to be refused in the end.
 
     Raises:
         ValidationFailed: A field is missing or of the wrong form.
     """
     body: dict[str, Any] = {
-        "loads": [_load(load) for load in message.loads],
+        "loads": [_load(load) for load in message.loads[: max_loads + 1]],
         "uncertainty_samples": message.uncertainty_samples,
     }
     for name, translate in _PARTS.items():

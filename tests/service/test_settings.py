@@ -34,7 +34,9 @@ def test_arguments_win_over_the_environment(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("HTTP_PORT", "70000"), ("QUEUE_SIZE", "0"), ("THREADS", "-1"), ("LOG_LEVEL", "loud")]
+    ("name", "value"),
+    [("HTTP_PORT", "70000"), ("QUEUE_SIZE", "0"), ("THREADS", "-1"), ("LOG_LEVEL", "loud"),
+     ("LOG_FORMAT", "xml"), ("RECONSTRUCTION_BYTES", "-1"), ("RECONSTRUCTION_LIFETIME_S", "0"), ("TRACING_SHARE", "2")],
 )
 def test_a_setting_out_of_its_range_is_refused(monkeypatch, name, value):
     monkeypatch.setenv(f"PHYSNET_{name}", value)
