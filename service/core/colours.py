@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-# Viridis at nine places, from matplotlib (van der Walt and Smith, CC0): even to the eye, also a colour-blind one.
+# Viridis at 17 places, from matplotlib (van der Walt and Smith, CC0): even to the eye, also a colour-blind one.
 _STOPS = np.array(
-    [(68, 1, 84), (71, 44, 122), (59, 81, 139), (44, 113, 142), (33, 144, 141), (39, 173, 129), (92, 200, 99),
-     (170, 220, 50), (253, 231, 37)], np.float32,
+    [(68, 1, 84), (72, 24, 106), (71, 45, 123), (66, 64, 134), (59, 82, 139), (51, 99, 141), (44, 114, 142),
+     (38, 130, 142), (33, 144, 140), (31, 159, 136), (39, 173, 129), (62, 188, 116), (92, 200, 99), (130, 211, 77),
+     (170, 220, 50), (213, 226, 26), (253, 231, 37)], np.float32,
 )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -43,6 +44,8 @@ def service() -> Iterator[Running]:
 )
 def test_an_example_runs(service, name, options, says):
     command = [sys.executable, str(ROOT / "examples" / name), "--url", f"grpc://{service.grpc}", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    # As where the package is installed, also when it is not.
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
     assert done.returncode == 0, done.stderr
     assert re.search(says, done.stdout), done.stdout

@@ -11,8 +11,8 @@ from service.core.colours import colours_of
 def test_they_are_those_of_viridis():
     table = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_VIRIDIS)[:, 0, ::-1].astype(int)
     ours = colours_of(np.linspace(0.0, 0.02, 256), 0.02).astype(int)
-    # Nine places joined by lines stay this close to the curve; the eye tells no difference of 8 in 255.
-    assert np.abs(ours - table).max() <= 8
+    # 17 places joined by lines stay this close to the curve; the eye tells no difference of 6 in 255.
+    assert np.abs(ours - table).max() <= 6
     assert (np.diff(ours @ [0.299, 0.587, 0.114]) > 0).all(), "brighter is farther, also on grey paper"
 
 
