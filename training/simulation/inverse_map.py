@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int, Int32, UInt8
+from jaxtyping import Float32, Float64, Int, Int32, UInt8, UInt32
 
 from training.simulation.compiled import compiled
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated
@@ -36,10 +36,11 @@ def material_points(
     polynomial: Float32[np.ndarray, "k 27"],
     doubt: Float32[np.ndarray, " k"],
     cautious: bool,
-    deformed: UInt8[np.ndarray, "x y z"],
-    backward: Float32[np.ndarray, "x y z 3"],
+    size: int,
+    deformed: UInt8[np.ndarray, " voxels"],
+    material: Float32[np.ndarray, "voxels 3"],
 ) -> None:
-    """Mark every voxel centre whose material point lies in the body, and write how far it has moved.
+    """Mark every voxel centre whose material point lies in the body, and write that point.
 
     The trilinear map of a cell is its value and Jacobian at the centre plus four products of the local coordinates
     ξ ∈ [−½, ½]³, y = c + A ξ + B (ξη, ηζ, ζξ, ξηζ). The fixed point ξ ← A⁻¹(y − c) − A⁻¹B(ξη, ηζ, ζξ, ξηζ) converges
@@ -54,37 +55,37 @@ def material_points(
         polynomial: See `SampledDistance`.
         doubt: See `SampledDistance`.
         cautious: Leave `NEAR` what only the distance itself can tell; else interpolation tells.
+        size: Voxels along each edge of the cube.
         deformed: `OUTSIDE` before; written `INSIDE` or `NEAR`.
-        backward: Written where not `OUTSIDE`, in units of L; else left as it is.
+        material: Written where not `OUTSIDE`, in units of L; else left as it is.
     """
-    size = deformed.shape[0]
-    voxel_edge, edge = 1.0 / size, 2.0 / state.shape[0]
+    edge = 2.0 / state.shape[0]
     bound = 0.5 + _TOLERANCE
     terms, inverse, curved = np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 4))
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    u, v, w, voxel = np.empty(0), np.empty(0), np.empty(0), np.empty((0, 3), np.int64)
+    u, v, w, voxel = np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint32)
     for cell in range(len(active)):
         if not (_expand(position, cell_nodes, cell, size, terms, first, last) and _invert(terms, inverse, curved)):
             continue
         most = (last[0] - first[0] + 1) * (last[1] - first[1] + 1) * (last[2] - first[2] + 1)
         if most > len(u):
-            u, v, w, voxel = np.empty(most), np.empty(most), np.empty(most), np.empty((most, 3), np.int64)
-        count = _candidates(terms, inverse, curved, first, last, u, v, w, voxel)
+            u, v, w, voxel = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.uint32)
+        count = _candidates(terms, inverse, curved, first, last, size, u, v, w, voxel)
         _solve(curved, u[:count], v[:count], w[:count])
         ai, aj, ak = active[cell, 0], active[cell, 1], active[cell, 2]
         for row in range(count):
             x, y, z = u[row], v[row], w[row]
             if not (abs(x) <= bound and abs(y) <= bound and abs(z) <= bound):
                 continue
-            i, j, k = voxel[row, 0], voxel[row, 1], voxel[row, 2]
             side = _side(ai, aj, ak, x, y, z, state, number, polynomial, doubt, cautious)
             # of two cells that meet in a voxel one that is sure of its material decides
-            if side == OUTSIDE or (side == NEAR and deformed[i, j, k] == INSIDE):
+            place = voxel[row]
+            if side == OUTSIDE or (side == NEAR and deformed[place] == INSIDE):
                 continue
-            deformed[i, j, k] = side
-            backward[i, j, k, 0] = (i + 0.5) * voxel_edge - (ai + 0.5 + x) * edge
-            backward[i, j, k, 1] = (j + 0.5) * voxel_edge - (aj + 0.5 + y) * edge
-            backward[i, j, k, 2] = (k + 0.5) * voxel_edge - (ak + 0.5 + z) * edge
+            deformed[place] = side
+            material[place, 0] = (ai + 0.5 + x) * edge
+            material[place, 1] = (aj + 0.5 + y) * edge
+            material[place, 2] = (ak + 0.5 + z) * edge
 
 
 @compiled
@@ -151,12 +152,13 @@ def _candidates(
     curved: Float64[np.ndarray, "3 4"],
     first: Int[np.ndarray, " 3"],
     last: Int[np.ndarray, " 3"],
+    size: int,
     u: Float64[np.ndarray, " n"],
     v: Float64[np.ndarray, " n"],
     w: Float64[np.ndarray, " n"],
-    voxel: Int[np.ndarray, "n 3"],
+    voxel: UInt32[np.ndarray, " n"],
 ) -> int:
-    """Write the voxels that may lie in a cell and their affine local coordinates; returns how many."""
+    """Write the places of voxels that may lie in a cell and their affine local coordinates; returns how many."""
     step, half = np.empty(3), np.empty(3)
     for axis in range(3):
         slope = inverse[axis, 2]
@@ -185,7 +187,7 @@ def _candidates(
             if stop < start:
                 continue
             for offset in range(int(np.ceil(start)), int(np.floor(stop)) + 1):
-                voxel[count, 0], voxel[count, 1], voxel[count, 2] = i, j, first[2] + offset
+                voxel[count] = (i * size + j) * size + first[2] + offset
                 u[count], v[count], w[count] = u0 + xk * offset, v0 + yk * offset, w0 + zk * offset
                 count += 1
     return count

@@ -204,65 +204,77 @@ def _add_stiffness(
     """
     terms, jacobian = np.empty((3, 8)), np.empty(8)
     gradient, cofactor = np.empty((8, 9)), np.empty((8, 9))
-    spatial, mean_spatial = np.empty(24), np.empty(24)
-    repeated, tiled = np.empty((3, 24)), np.empty((8, 24))
-    full, scalar, block = np.empty((24, 24)), np.empty((8, 8)), np.empty((300, _TOGETHER))
+    spatial, swapped, outer = np.empty((8, 24)), np.empty((8, 24)), np.empty((8, 24))
+    shear, mean, block = np.empty(8), np.empty(24), np.empty((300, _TOGETHER))
     cells = displacements.shape[1]
     for start in range(0, cells, _TOGETHER):
         count = min(_TOGETHER, cells - start)
-        block[:] = 0.0
         for column in range(count):
             cell = start + column
-            volume, mean, _ = _kinematics(
+            volume, ratio, _ = _kinematics(
                 displacements, cell, weights, scale, places, terms, gradient, cofactor, jacobian
             )
             if volume == 0.0:
+                block[:, column] = 0.0
                 continue
-            mean = mean if mean > 0.0 else 1.0
-            log_mean = np.log(mean)
-            pressure = lam * log_mean / mean
-            full[:], scalar[:], mean_spatial[:] = 0.0, 0.0, 0.0
+            ratio = ratio if ratio > 0.0 else 1.0
+            log_ratio = np.log(ratio)
+            pressure = lam * log_ratio / ratio
+            mean[:] = 0.0
             for gauss in range(8):
                 weight = weights[gauss, cell]
                 if not weight > 0.0:
+                    shear[gauss], spatial[gauss], swapped[gauss], outer[gauss] = 0.0, 0.0, 0.0, 0.0
                     continue
-                ratio = jacobian[gauss]
-                shear = weight * mu * scale * scale
+                local = jacobian[gauss]
+                shear[gauss] = weight * mu * scale * scale
                 for a in range(8):
-                    for b in range(a, 8):
-                        scalar[a, b] += shear * products[gauss, a, b]
                     for i in range(3):
                         value = (
                             cofactor[gauss, 3 * i] * gradients[gauss, a, 0]
                             + cofactor[gauss, 3 * i + 1] * gradients[gauss, a, 1]
                             + cofactor[gauss, 3 * i + 2] * gradients[gauss, a, 2]
-                        ) * (scale / ratio)
-                        spatial[3 * a + i] = value
-                        mean_spatial[3 * a + i] += weight * ratio / volume * value
-                # g_b,i g_a,k in the row of (a, i), over all (b, k), is the product of two rows
-                for a in range(8):
-                    for i in range(3):
-                        for k in range(3):
-                            repeated[i, 3 * a + k] = spatial[3 * a + i]
-                        for b in range(8):
-                            tiled[a, 3 * b + i] = spatial[3 * a + i]
-                swap, outer = weight * (mu - pressure * ratio), weight * pressure * ratio
-                for a in range(8):
-                    for i in range(3):
-                        row, lead = 3 * a + i, outer * spatial[3 * a + i]
-                        for q in range(24):
-                            full[row, q] += lead * spatial[q] + swap * repeated[i, q] * tiled[a, q]
-            bulk = volume * lam * (1.0 - log_mean) / mean**2
-            entry = 0
+                        ) * (scale / local)
+                        spatial[gauss, 3 * a + i] = value
+                        swapped[gauss, 3 * a + i] = weight * (mu - pressure * local) * value
+                        outer[gauss, 3 * a + i] = weight * pressure * local * value
+                        mean[3 * a + i] += weight * local / volume * value
+            bulk = volume * lam * (1.0 - log_ratio) / ratio**2
             for a in range(8):
-                for i in range(3):
-                    lead = bulk * mean_spatial[3 * a + i]
-                    for q in range(3 * a + i, 24):
-                        value = full[3 * a + i, q] + lead * mean_spatial[q]
-                        if q % 3 == i:
-                            value += scalar[a, q // 3]
-                        block[entry, column] = value
-                        entry += 1
+                p0, p1, p2 = bulk * mean[3 * a], bulk * mean[3 * a + 1], bulk * mean[3 * a + 2]
+                for b in range(a, 8):
+                    # nine sums in registers
+                    q0, q1, q2, same = mean[3 * b], mean[3 * b + 1], mean[3 * b + 2], 0.0
+                    k00, k01, k02 = p0 * q0, p0 * q1, p0 * q2
+                    k10, k11, k12 = p1 * q0, p1 * q1, p1 * q2
+                    k20, k21, k22 = p2 * q0, p2 * q1, p2 * q2
+                    for gauss in range(8):
+                        same += shear[gauss] * products[gauss, a, b]
+                        s0, s1, s2 = swapped[gauss, 3 * b], swapped[gauss, 3 * b + 1], swapped[gauss, 3 * b + 2]
+                        g0, g1, g2 = spatial[gauss, 3 * a], spatial[gauss, 3 * a + 1], spatial[gauss, 3 * a + 2]
+                        o0, o1, o2 = outer[gauss, 3 * a], outer[gauss, 3 * a + 1], outer[gauss, 3 * a + 2]
+                        h0, h1, h2 = spatial[gauss, 3 * b], spatial[gauss, 3 * b + 1], spatial[gauss, 3 * b + 2]
+                        k00 += s0 * g0 + o0 * h0
+                        k01 += s0 * g1 + o0 * h1
+                        k02 += s0 * g2 + o0 * h2
+                        k10 += s1 * g0 + o1 * h0
+                        k11 += s1 * g1 + o1 * h1
+                        k12 += s1 * g2 + o1 * h2
+                        k20 += s2 * g0 + o2 * h0
+                        k21 += s2 * g1 + o2 * h1
+                        k22 += s2 * g2 + o2 * h2
+                    # where row p of the upper triangle has its column q: 24 p − p (p + 1)/2 + q
+                    row = 3 * a
+                    first, second, third = (
+                        24 * row - row * (row + 1) // 2 + 3 * b,
+                        24 * (row + 1) - (row + 1) * (row + 2) // 2 + 3 * b,
+                        24 * (row + 2) - (row + 2) * (row + 3) // 2 + 3 * b,
+                    )
+                    block[first, column], block[first + 1, column], block[first + 2, column] = k00 + same, k01, k02
+                    block[second + 1, column], block[second + 2, column] = k11 + same, k12
+                    block[third + 2, column] = k22 + same
+                    if b > a:
+                        block[second, column], block[third, column], block[third + 1, column] = k10, k20, k21
         for entry in range(300):
             for column in range(count):
                 stiffness[entry, start + column] += block[entry, column]

@@ -214,7 +214,7 @@ class _Problem:
     def solution(self, state: _State, fraction: float, residuals: Sequence[float], tolerance: float) -> Solution:
         """Judge a state and record it."""
         nodal = self.nodal(state.free)
-        inner = np.unique(self.body.cell_nodes[self.body.fill >= 0.5])
+        inner = self.body.solid_nodes
         moved = self.body.node_positions[inner] + nodal[inner]
         reason = None
         if residuals[-1] > tolerance:
@@ -223,8 +223,10 @@ class _Problem:
             reason = "inverted"
         elif moved.size and (moved.min() < -self.body.cell_edge or moved.max() > 1.0):
             reason = "left_cube"
-        element = self.solver.element.evaluate(*self.split(state.free))
-        unbalanced = self.body.scatter(element.forces) - fraction * self.applied
+        unbalanced = np.zeros_like(nodal)
+        if self.body.clamped.any():  # what a rigid node carries is known from the elements alone
+            element = self.solver.element.evaluate(*self.split(state.free))
+            unbalanced = self.body.scatter(element.forces) - fraction * self.applied
         return Solution(
             displacement=nodal,
             parameters=self.split(state.free)[1],
