@@ -130,7 +130,8 @@ def draw_samples(
         fractions = (1.0,) if steps is None else (steps[0] * small,) if small is not None else ()
         state = State(fine, material, number, push.location)
         samples += [state.linear(scaled(load, part), response, part) for part in fractions]
-        for step in solve_neo_hookean(solver, load, steps) if steps is not None else ():
+        forces = load.load_number * response.forces
+        for step in solve_neo_hookean(solver, load, steps, forces=forces) if steps is not None else ():
             if step.converged:
                 samples.append(state.nonlinear(step))
     if not samples:

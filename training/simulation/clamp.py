@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 
 from service.core.arrays import Vector3
+from training.simulation.sampled import INSIDE, SampledDistance
 from training.simulation.surface import Distance, surface_quadrature
 
 Region: TypeAlias = Callable[[Float64[np.ndarray, "n 3"]], Bool[np.ndarray, " n"]]
@@ -85,7 +86,15 @@ class Clamp:
         axis = np.arange(0.5 * FOOT_SPACING, 1.0, FOOT_SPACING)
         plane = np.stack([*np.meshgrid(axis, axis, indexing="ij"), np.full((len(axis),) * 2, self.reach)], axis=-1)
         points = plane.reshape(-1, 3)
-        share = np.clip(0.5 - distance(points.astype(np.float32)).astype(np.float64) / FOOT_SPACING, 0.0, 1.0)
+        share = np.zeros(len(points))
+        asked = np.arange(len(points))
+        if isinstance(distance, SampledDistance):
+            octant = tuple(np.floor(points * (2 * distance.cells)).astype(int).T)
+            share[:] = distance.state[octant] == INSIDE
+            asked = np.flatnonzero(distance.number[octant] >= 0)
+        share[asked] = np.clip(
+            0.5 - distance(points[asked].astype(np.float32)).astype(np.float64) / FOOT_SPACING, 0.0, 1.0
+        )
         points, share = points[share > 0.0], share[share > 0.0]
         points[:, 2] = 0.0
         points[:, 2] = np.clip(distance(points.astype(np.float32)), 0.0, self.reach + 0.5 * FOOT_SPACING)

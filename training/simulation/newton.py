@@ -25,6 +25,8 @@ MIN_JACOBIAN = 0.02
 _REFACTOR_COST = 8.0
 """A factor of the tangent takes as long as about this many steps (measured at 24³)."""
 _MEMORY = 10
+_FIRST_SHIFT = 0.03
+"""Share of the stiffness at rest added to a tangent that is not positive definite; three times as much if need be."""
 _MAX_SHIFTS = 6
 _MAX_HALVINGS = 10
 _GIVE_UP_AFTER = 4
@@ -47,17 +49,27 @@ def solve_neo_hookean(
     loads: Load | Sequence[Load],
     fractions: Sequence[float] = (1 / 3, 2 / 3, 1.0),
     tolerance: float = TOLERANCE,
+    forces: Float64[np.ndarray, "nodes 3"] | None = None,
 ) -> list[Solution]:
     """Follow a load, or several that act together, up to the full value; every step is a converged state of its own.
 
     Stops after the first step that fails, whose reason is in the last entry of the list, so that the list may be
     shorter than `fractions`.
 
+    Args:
+        solver: Of the body.
+        loads: At their full value.
+        fractions: Load steps, ascending.
+        tolerance: See `TOLERANCE`.
+        forces: Nodal forces of the loads, where they are known already.
+
     Raises:
         LoadError: a load touches no material.
     """
     together = (loads,) if isinstance(loads, Load) else tuple(loads)
-    steps = follow_forces(solver, nodal_forces(solver.body, together), fractions, tolerance)
+    if forces is None:
+        forces = nodal_forces(solver.body, together)
+    steps = follow_forces(solver, forces, fractions, tolerance)
     return [
         replace(step, loads=tuple(replace(load, load_number=load.load_number * step.fraction) for load in together))
         for step in steps
@@ -74,24 +86,30 @@ def follow_forces(
     problem = _Problem(solver, forces)
     linear = problem.preconditioner.solve(problem.force)
     solutions: list[Solution] = []
-    free = np.zeros_like(linear)
-    before = np.zeros_like(free)
-    reached = 0.0
-    reached_before = 0.0
+    reached = [(0.0, np.zeros_like(linear))]
     for fraction in fractions:
-        if reached == 0.0:
+        if len(reached) == 1:
             guesses = [fraction * linear, 0.3 * fraction * linear]
         else:
-            slope = (free - before) / (reached - reached_before)
-            guesses = [free + (fraction - reached) * slope]
-        state, residuals = problem.equilibrium(fraction, [*guesses, free], tolerance)
+            guesses = [_extrapolated(reached[-order:], fraction) for order in range(2, min(len(reached), 3) + 1)]
+        state, residuals = problem.equilibrium(fraction, [*guesses, reached[-1][1]], tolerance)
         solution = problem.solution(state, fraction, residuals, tolerance)
         solutions.append(solution)
         if not solution.converged:
             break
-        before, reached_before = free, reached
-        free, reached = state.free, fraction
+        reached.append((fraction, state.free))
     return solutions
+
+
+def _extrapolated(
+    reached: Sequence[tuple[float, Float64[np.ndarray, " dof"]]], fraction: float
+) -> Float64[np.ndarray, " dof"]:
+    """The polynomial through the states reached so far (Lagrange's form), at another fraction of the load."""
+    guess = np.zeros_like(reached[0][1])
+    for i, (at, free) in enumerate(reached):
+        others = [other for j, (other, _) in enumerate(reached) if j != i]
+        guess += np.prod([(fraction - other) / (at - other) for other in others]) * free
+    return guess
 
 
 @dataclass(frozen=True)
@@ -122,6 +140,7 @@ class _Problem:
         self.force = np.zeros(self.count + solver.element.internal * self.cells)
         self.force[: self.count] = force.reshape(-1)[self.body.free_dof]
         self.preconditioner = CondensedFactor(solver.body, solver.factor, solver.tangent)
+        self.shift = 0.0
 
     def equilibrium(
         self, fraction: float, guesses: Sequence[Float64[np.ndarray, " dof"]], tolerance: float
@@ -174,13 +193,15 @@ class _Problem:
         """Factorise the tangent at a state, shifted towards the stiffness at rest until it is positive definite."""
         tangent = self.solver.element.tangent(*self.split(state.free))
         values = self.solver.assemble(tangent.stiffness).data
-        shift = 0.0
+        # a state close to one that needed a shift needs one too: begin with a part of that
+        shift = self.shift / 3.0 if self.shift > _FIRST_SHIFT else 0.0
         for _ in range(_MAX_SHIFTS):
             try:
                 self.solver.tangent_factor.refactor(values + shift * self.solver.stiffness.data)
             except NotPositiveDefinite:
-                shift = 0.03 if shift == 0.0 else 3.0 * shift
+                shift = _FIRST_SHIFT if shift == 0.0 else 3.0 * shift
                 continue
+            self.shift = shift
             self.preconditioner = CondensedFactor(self.body, self.solver.tangent_factor, tangent)
             return
         self.preconditioner = CondensedFactor(self.body, self.solver.factor, self.solver.tangent)
