@@ -95,16 +95,24 @@ def draw(models: Models, out: Path) -> list[Path]:
 
 
 def _figure(panels: int) -> tuple[Figure, list[Axes]]:
-    width, height = panels * PANEL_PX + (panels - 1) * 16 + 24, PANEL_PX + 48
+    gap, bar = 44, 44  # a colour bar and its numbers stand beside a panel
+    width, height = panels * PANEL_PX + (panels - 1) * gap + bar + 12, PANEL_PX + 48
     figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, facecolor="white")
     axes = []
     for panel in range(panels):
         axis = figure.add_axes(
-            ((12 + panel * (PANEL_PX + 16)) / width, 10 / height, PANEL_PX / width, PANEL_PX / height)
+            ((12 + panel * (PANEL_PX + gap)) / width, 10 / height, PANEL_PX / width, PANEL_PX / height)
         )
         axis.set_axis_off()
         axes.append(axis)
     return figure, axes
+
+
+def _bar(figure: Figure, beside: Axes, shown: Any) -> None:
+    """A colour bar in the gap beside a panel, which keeps its size."""
+    box = beside.get_position()
+    axis = figure.add_axes((box.x1 + 0.006, box.y0 + 0.1 * box.height, 0.009, 0.8 * box.height))
+    figure.colorbar(shown, cax=axis).ax.tick_params(labelsize=8, colors=INK, length=2)
 
 
 def _title(axis: Axes, text: str) -> None:
@@ -157,7 +165,7 @@ def _segment(depth_m: np.ndarray, found: Any, camera: Any) -> Figure:
     height_mm = np.where(np.isfinite(height_m), 1e3 * height_m, np.nan)
     highest = 1.1 * np.nanpercentile(height_mm[found.pixels], 99)
     shown = right.imshow(height_mm, cmap="viridis", vmin=-5, vmax=highest, aspect="equal")
-    figure.colorbar(shown, ax=right, fraction=0.035, pad=0.01).ax.tick_params(labelsize=8)
+    _bar(figure, right, shown)
     _title(right, "height above the support plane, mm")
     _around(found.pixels, left, right)
     return figure
@@ -185,7 +193,7 @@ def _reconstruct(view: Any, seen: np.ndarray, rough: np.ndarray, cut: float) -> 
     middle = int(np.argmax(view.observed.sum(axis=(0, 2))))
     shown = left.imshow(seen[:, middle].T, origin="lower", cmap="magma_r", vmin=0, vmax=1, aspect="equal")
     left.contour(seen[:, middle].T, levels=[cut], colors=INK, linewidths=1.2)
-    figure.colorbar(shown, ax=left, fraction=0.035, pad=0.01).ax.tick_params(labelsize=8)
+    _bar(figure, left, shown)
     _title(left, f"probability, same slice; line: threshold {cut:.2f}")
     camera = view_from_camera(view.grid.camera_from_grid, rough, PANEL_PX, PANEL_PX)
     right.imshow(np.clip(solid(rough, BODY, camera, None, 8.0)[0], 0, 1), aspect="equal")
