@@ -101,18 +101,17 @@ class FitDeformationConfig(FitConfig):
     Attributes:
         bodies: Bodies of a batch.
         loads: Loads on each of them: the encoder, half of the work, is paid once a body.
-        points: Voxels of each sample at which a displacement's occupancy is compared; half of them where body and
-            deformed body differ or lie close, the rest anywhere.
+        points: Voxels of each sample at which a displacement's occupancy is compared, most of them near a surface.
         occupancy_weight: Weight of that cross-entropy beside the relative displacement error, of order one each.
         kl_weight: Weight of the latent's divergence from its prior, per nat.
     """
 
     network: DeformationKind = field(default_factory=DeformationConfig)
-    bodies: int = 8
-    loads: int = 4
+    bodies: int = 16
+    loads: int = 2
     occupancy_weight: float = 1.0
     kl_weight: float = 1e-4
-    points: int = 4096
+    points: int = 1536
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,9 +135,14 @@ REAL = ConditionConfig(encoding="real")
 SMALL_CRITIC = (16, 32, 64, 64)
 """Channels of a critic that costs about as much as a realtime generator."""
 
+REALTIME = FitDeformationConfig(
+    steps=2400, optimizer=OptimizerConfig(learning_rate=2e-3), validate_every=300, validation_samples=120
+)
+
 DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
-    "realtime": FitDeformationConfig(),
-    "realtime-gan": FitDeformationConfig(
+    "realtime": REALTIME,
+    "realtime-gan": replace(
+        REALTIME,
         adversary=AdversaryConfig(
             critic=CriticConfig(channels=SMALL_CRITIC, condition=ConditionConfig()),
             optimizer=OptimizerConfig(learning_rate=2e-4, warm_up=0, weight_decay=0.0, betas=(0.5, 0.999)),

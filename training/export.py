@@ -22,7 +22,7 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
-from training.networks.deformation import DeformationNetwork, at_voxels
+from training.networks.deformation import LATTICE_SIZE, DeformationNetwork
 from training.networks.reconstruction import ReconstructionNetwork
 
 OPSET = 20
@@ -45,15 +45,15 @@ class ReconstructionGraph(nn.Module):
 
 
 class DeformationGraph(nn.Module):
-    """What is served: the displacement at every voxel; the service looks the body up through it."""
+    """What is served: what to add to the coarse solve's displacement; the service looks the body up through the sum."""
 
     def __init__(self, network: DeformationNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor) -> Tensor:
-        field, _, _ = self.network(rest, condition, noise)
-        return at_voxels(field, rest)
+    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor, prior: Tensor) -> Tensor:
+        correction: Tensor = self.network(rest, condition, noise, prior)[0]
+        return correction
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,11 @@ RECONSTRUCTION_TENSORS = Tensors({"view": (1, 2, 64, 64, 64)}, {"probability": (
 
 def deformation_tensors(latent: int) -> Tensors:
     return Tensors(
-        {"rest": (1, 1, 64, 64, 64), "condition": ("loads", 9), "noise": ("loads", latent)},
-        {"displacement": ("loads", 3, 64, 64, 64)},
+        {
+            "rest": (1, 1, 64, 64, 64), "condition": ("loads", 9), "noise": ("loads", latent),
+            "prior": ("loads", 3, *(LATTICE_SIZE,) * 3),
+        },
+        {"correction": ("loads", 3, *(LATTICE_SIZE,) * 3)},
     )
 
 

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Bool
 from torch import Tensor
+from torch.nn import functional
 
 from training.configs import FitDeformationConfig
 from training.data.batches import DeformationBatch, DeformationSet
@@ -23,16 +25,23 @@ from training.losses import (
 )
 from training.metrics import active_latents, iou, skill
 from training.networks.build import build_deformation
-from training.networks.deformation import DeformationConfig, DeformationNetwork, sample_field, soft_warp, warp
+from training.networks.deformation import (
+    DeformationConfig,
+    DeformationNetwork,
+    displacement_at,
+    sample_field,
+    smoothed,
+    soft_warp,
+)
 from training.networks.physnet import PhysNet
+from training.predict import HALF_VOXEL, peak_ratios, predict, relative_displacements
 from training.runs import Run
-
-HALF_VOXEL = 0.5 / 64.0
 
 
 def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
     """Train from the start, or from the run's last checkpoint."""
-    training, validation = DeformationSet.load(data, "train"), DeformationSet.load(data, "validation")
+    prior = isinstance(config.network, DeformationConfig) and config.network.prior
+    training, validation = (DeformationSet.load(data, split, prior) for split in ("train", "validation"))
     if isinstance(config.network, DeformationConfig):
         log_gain = float(np.mean(np.log10(training.peak) - training.condition[:, 6]))
         config = replace(config, network=replace(config.network, log_gain=log_gain))
@@ -48,7 +57,7 @@ def fit_deformation(data: Path, run: Run, config: FitDeformationConfig) -> None:
     ):
         network.train()
         batch = augmented(training.batch_by_body(config.bodies, config.loads, step.rng), step.rng)
-        terms, answer = step_losses(network, batch, config)
+        terms, answer = step_losses(network, batch, config, step.rng)
         loss = sum(terms.values(), start=torch.zeros(()))
         step.losses = {name: value.item() for name, value in terms.items()}
         if adversary and adversary.learns_at(step.index):
@@ -70,42 +79,77 @@ def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationB
 
 
 def step_losses(
-    network: DeformationNetwork | PhysNet, batch: DeformationBatch, config: FitDeformationConfig
-) -> tuple[dict[str, Tensor], Tensor]:
-    """Weighted terms of L_VAE for one batch, and the network's answer: a field, or logits."""
+    network: DeformationNetwork | PhysNet, batch: DeformationBatch, config: FitDeformationConfig,
+    rng: np.random.Generator,
+) -> tuple[dict[str, Tensor], Tensor]:  # fmt: skip
+    """Weighted terms of L_VAE for one batch, and the network's answer: a correction, or logits."""
     noise = torch.randn(len(batch.condition), config.network.latent)
-    answer, mean, log_variance = network(batch.rest, batch.condition, noise)
-    kl = {"kl": config.kl_weight * kl_divergence(mean, log_variance)}
     if isinstance(network, PhysNet):
-        return {"occupancy": modified_bce_with_logits(answer, batch.deformed, config.alpha)} | kl, answer
-    points, target = sample_points(batch, config.points)
-    source = points - sample_field(answer, points).transpose(1, 2)
-    occupancy = sample_field(batch.rest_of_loads, source, outside="zeros")[:, 0]
-    field = {
-        "displacement": relative_displacement(answer, batch.displacement, batch.coverage, batch.peak, HALF_VOXEL),
+        answer, mean, log_variance = network(batch.rest, batch.condition, noise)
+        terms = {"occupancy": modified_bce_with_logits(answer, batch.deformed, config.alpha)}
+    else:
+        answer, mean, log_variance = network(batch.rest, batch.condition, noise, batch.prior_forward)
+        terms = field_losses(batch, answer, config, rng)
+    return terms | {"kl": config.kl_weight * kl_divergence(mean, log_variance)}, answer
+
+
+def field_losses(
+    batch: DeformationBatch, correction: Tensor, config: FitDeformationConfig, rng: np.random.Generator
+) -> dict[str, Tensor]:
+    """Relative displacement error over the body at rest, and cross-entropy of voxels near the surfaces.
+
+    The first looks nothing up, and so costs little for all that it sees; the second is what is served, forward and
+    back, at a few places that stand for all.
+    """
+    moved = functional.interpolate(
+        batch.prior_forward + correction, size=batch.forward.shape[2:], mode="trilinear", align_corners=False
+    )
+    covered = batch.rest_coverage.repeat_interleave(len(moved) // len(batch.rest), dim=0)
+    voxels, target = sample_voxels(batch, config.points, rng)
+    source = voxels - displacement_at(correction, batch.prior_backward, voxels).transpose(1, 2)
+    body = smoothed(batch.rest).repeat_interleave(len(source) // len(batch.rest), dim=0)
+    occupancy = sample_field(body, source, outside="zeros")[:, 0]
+    return {
+        "displacement": relative_displacement(moved, batch.forward, covered, batch.peak, HALF_VOXEL),
         "occupancy": config.occupancy_weight * modified_bce(occupancy, target, config.alpha),
     }
-    return field | kl, answer
 
 
 def occupancy_of(network: DeformationNetwork | PhysNet, batch: DeformationBatch, answer: Tensor) -> Tensor:
     """The probability of every voxel, with a gradient, as a critic judges it."""
-    return answer.sigmoid() if isinstance(network, PhysNet) else soft_warp(batch.rest_of_loads, answer)
+    if isinstance(network, PhysNet):
+        return answer.sigmoid()
+    return soft_warp(batch.rest_of_loads, answer, batch.prior_backward)
 
 
-def sample_points(batch: DeformationBatch, count: int) -> tuple[Tensor, Tensor]:
+def sample_voxels(batch: DeformationBatch, count: int, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     """Voxel centres to compare at, and what the deformed body has there.
 
-    Half are drawn where the body was or is, with one voxel around it; the rest anywhere in the cube.
+    Three of four are drawn where body and deformed body differ or have their surface, the rest anywhere in the cube.
     """
-    either = torch.maximum(batch.rest_of_loads[:, 0], batch.deformed)
-    near = torch.nn.functional.max_pool3d(either[:, None], 3, stride=1, padding=1)[:, 0].flatten(1)
-    weight = near / near.sum(dim=1, keepdim=True) + 1.0 / near.shape[1]
-    index = torch.multinomial(weight, count, replacement=True)
-    target = torch.gather(batch.deformed.flatten(1), 1, index)
-    size = batch.deformed.shape[1]
-    grid = torch.stack([index // (size * size), index // size % size, index % size], dim=2)
-    return (grid + 0.5) / size, target
+    rest, deformed = batch.rest[:, 0].numpy() > 0.5, batch.deformed.numpy() > 0.5
+    loads = len(deformed) // len(rest)
+    chosen = rng.integers(0, deformed[0].size, (len(deformed), count))
+    for row, moved in zip(chosen, zip(rest.repeat(loads, axis=0), deformed, strict=True), strict=True):
+        band = np.flatnonzero((moved[0] != moved[1]) | _surface(moved[1]))
+        row[: 3 * count // 4] = band[rng.integers(0, len(band), 3 * count // 4)]
+    index = torch.from_numpy(chosen)
+    return _centres(index, deformed.shape[1]), torch.gather(batch.deformed.flatten(1), 1, index)
+
+
+def _centres(index: Tensor, size: int) -> Tensor:
+    return (torch.stack([index // size**2, index // size % size, index % size], dim=2) + 0.5) / size
+
+
+def _surface(occupancy: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
+    """Voxels that differ from one of their neighbours, on either side."""
+    found = np.zeros_like(occupancy)
+    for axis in range(3):
+        along, of = np.moveaxis(occupancy, axis, 0), np.moveaxis(found, axis, 0)
+        differs = along[1:] != along[:-1]
+        of[1:] |= differs
+        of[:-1] |= differs
+    return found
 
 
 @torch.no_grad()
@@ -119,19 +163,13 @@ def validate(network: DeformationNetwork | PhysNet, samples: DeformationSet, cou
     ious, means, relative, peaks = [], [], [], []
     for part in np.array_split(rows, max(1, len(rows) // 16)):
         batch = samples.batch(part)
-        answer, mean, _ = network(batch.rest, batch.condition, torch.zeros(len(part), network.config.latent))
-        is_field = not isinstance(network, PhysNet)
-        predicted = ((warp(batch.rest, answer) if is_field else answer.sigmoid()) > 0.5).numpy()
+        answer = predict(network, batch)
+        predicted = answer.probability > 0.5
         ious += [iou(p, t) for p, t in zip(predicted, batch.deformed.numpy() > 0.5, strict=True)]
-        means.append(mean.numpy())
-        for i in range(len(part) if is_field else 0):
-            one = slice(i, i + 1)
-            relative.append(
-                float(relative_displacement(answer[one], batch.displacement[one], batch.coverage[one],
-                                            batch.peak[one], HALF_VOXEL))
-            )  # fmt: skip
-            inside = batch.coverage[i, 0] > 0
-            peaks.append(float(answer[i].norm(dim=0)[inside].max() / batch.peak[i]))
+        means.append(answer.latent_mean)
+        if answer.field is not None:
+            relative += list(relative_displacements(answer.field, batch))
+            peaks += list(peak_ratios(answer.field, batch))
     scores, identity = np.array(ious), samples.identity_iou[rows].astype(float)
     large = identity < 0.95
     figures = {

@@ -122,7 +122,7 @@ def smoothed(occupancy: Bool[np.ndarray, "x y z"]) -> Float32[np.ndarray, "x y z
     values = across.reshape(-1, size) @ along
     values = values.reshape(occupancy.shape)
     sure = np.float32(SURE)
-    return np.where(occupancy, np.maximum(values, 0.5 + sure), np.minimum(values, 0.5 - sure))
+    return np.asarray(np.where(occupancy, np.maximum(values, 0.5 + sure), np.minimum(values, 0.5 - sure)), np.float32)
 
 
 def _clipped(places: Places, size: int) -> Places:

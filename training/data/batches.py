@@ -12,6 +12,7 @@ from jaxtyping import Float, Float16, Float32, Float64, Int, UInt8
 from torch import Tensor
 
 from training.data.fields import unpack_nodes
+from training.data.priors import BACKWARD, FORWARD, Priors
 from training.data.store import Store, StoreError
 
 GRID = (64, 64, 64)
@@ -75,13 +76,19 @@ class DeformationSet:
     force_n: Float64[np.ndarray, " n"]
     location: Float32[np.ndarray, "n 2"]
     law: tuple[str, ...]
+    prior: Priors | None
 
     def __len__(self) -> int:
         return len(self.body)
 
     @classmethod
-    def load(cls, root: Path, split: str) -> DeformationSet:
+    def load(cls, root: Path, split: str, prior: bool = True) -> DeformationSet:
         """Read one split of a finished or growing store; `all` is every body.
+
+        Args:
+            root: Folder of the data set.
+            split: `train`, `validation`, `test` or `all`.
+            prior: False where nobody asks for the coarse solve: batches hold zeros in its place.
 
         Raises:
             StoreError: It holds no body of that split, or it is of another store version.
@@ -107,10 +114,11 @@ class DeformationSet:
                 columns.setdefault(key, []).append(group[key])
         if not rest:
             raise _no_body(root, split)
+        bodies, of_sample = np.stack(rest), np.concatenate(body)
+        values = {key: np.concatenate(parts) for key, parts in columns.items()}
         return cls(
-            rest=np.stack(rest), family=tuple(family), fields=tuple(fields), body=np.concatenate(body),
-            step=np.concatenate(step), law=tuple(law),
-            **{key: np.concatenate(parts) for key, parts in columns.items()},
+            rest=bodies, family=tuple(family), fields=tuple(fields), body=of_sample, step=np.concatenate(step),
+            law=tuple(law), prior=Priors(bodies, of_sample, values["condition"]) if prior else None, **values,
         )  # fmt: skip
 
     def batch(self, rows: Int[np.ndarray, " b"]) -> DeformationBatch:
@@ -134,6 +142,10 @@ class DeformationSet:
             fields, step = self.fields[self.body[row]], self.step[row]
             backward[i][:, fields.nodes] = fields.backward[step]
             forward[i][:, fields.nodes] = fields.forward[step]
+        if self.prior is not None:
+            prior_forward, prior_backward = self.prior(rows)
+        else:
+            prior_forward, prior_backward = (np.zeros((len(rows), *of), np.float32) for of in (FORWARD, BACKWARD))
         return DeformationBatch(
             rest=rest,
             condition=torch.from_numpy(self.condition[rows]),
@@ -143,6 +155,8 @@ class DeformationSet:
             peak=torch.from_numpy(self.peak[rows]),
             forward=torch.from_numpy(forward).view(-1, 3, *FIELD),
             rest_coverage=coverage(rest),
+            prior_forward=torch.from_numpy(prior_forward),
+            prior_backward=torch.from_numpy(prior_backward),
         )
 
 
@@ -160,6 +174,8 @@ class DeformationBatch:
         coverage: Part of each node's block in the deformed body.
         forward: u(x) on nodes of the body at rest and two beyond.
         rest_coverage: Part of each node's block in the body at rest.
+        prior_forward: u(x) of the coarse solve.
+        prior_backward: u(y) of the coarse solve.
     """
 
     rest: Float[Tensor, "bodies 1 64 64 64"]
@@ -170,6 +186,8 @@ class DeformationBatch:
     peak: Float[Tensor, " b"]
     forward: Float[Tensor, "b 3 32 32 32"]
     rest_coverage: Float[Tensor, "bodies 1 32 32 32"]
+    prior_forward: Float[Tensor, "b 3 16 16 16"]
+    prior_backward: Float[Tensor, "b 3 32 32 32"]
 
     @property
     def rest_of_loads(self) -> Float[Tensor, "b 1 64 64 64"]:
@@ -181,23 +199,32 @@ class DeformationBatch:
         condition = self.condition.clone()
         condition[:, axis] = 1.0 - condition[:, axis]
         condition[:, 3 + axis] *= -1.0
-        displacement, forward = self.displacement.flip(2 + axis), self.forward.flip(2 + axis)
-        for field in (displacement, forward):
+        fields = [field.flip(2 + axis) for field in self._vector_fields]
+        for field in fields:
             field[:, axis] *= -1.0
+        displacement, forward, prior_forward, prior_backward = fields
         return DeformationBatch(
             self.rest.flip(2 + axis), condition, self.deformed.flip(1 + axis), displacement,
-            self.coverage.flip(2 + axis), self.peak, forward, self.rest_coverage.flip(2 + axis),
+            self.coverage.flip(2 + axis), self.peak, forward, self.rest_coverage.flip(2 + axis), prior_forward,
+            prior_backward,
         )  # fmt: skip
 
     def transposed(self) -> DeformationBatch:
         """Mirror image in the vertical plane x = y; with `mirrored` it makes the quarter turns."""
         swap = [1, 0, 2]
         condition = torch.cat([self.condition[:, swap], self.condition[:, [4, 3, 5]], self.condition[:, 6:]], dim=1)
+        displacement, forward, prior_forward, prior_backward = (
+            field[:, swap].transpose(2, 3) for field in self._vector_fields
+        )
         return DeformationBatch(
-            self.rest.transpose(2, 3), condition, self.deformed.transpose(1, 2),
-            self.displacement[:, swap].transpose(2, 3), self.coverage.transpose(2, 3), self.peak,
-            self.forward[:, swap].transpose(2, 3), self.rest_coverage.transpose(2, 3),
+            self.rest.transpose(2, 3), condition, self.deformed.transpose(1, 2), displacement,
+            self.coverage.transpose(2, 3), self.peak, forward, self.rest_coverage.transpose(2, 3), prior_forward,
+            prior_backward,
         )  # fmt: skip
+
+    @property
+    def _vector_fields(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return self.displacement, self.forward, self.prior_forward, self.prior_backward
 
 
 @dataclass(frozen=True)
