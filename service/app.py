@@ -135,6 +135,8 @@ async def serve(
             host, http_port = listener.getsockname()[:2]
             host = f"[{host}]" if ":" in host else host
             announce(f"ready http={host}:{http_port} grpc={host}:{grpc_port}")
+            models_served = {manifest.kind: f"{manifest.name} {manifest.version}" for manifest in served.manifests}
+            log.info("ready: %s", models_served, extra={"models": models_served})
             await asyncio.wait({stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         return 0
     except Exception as error:

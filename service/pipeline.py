@@ -75,7 +75,7 @@ class Body:
     def nbytes(self) -> int:
         """Memory of its arrays."""
         depth_m = None if self.crop is None else self.crop.depth_m
-        arrays = (self.observed, self.probability, self.occupancy, depth_m)
+        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m)
         return sum(array.nbytes for array in arrays if array is not None)
 
 

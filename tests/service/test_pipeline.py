@@ -20,7 +20,7 @@ from service.core.messages import (
     Observation,
 )
 from service.inference.registry import Models
-from service.pipeline import Pipeline
+from service.pipeline import Body, Pipeline
 from service.reconstructions import Reconstructions
 from tests.poses import pose
 from tests.synthetic_scenes import CAMERA, Box, TableScene, render
@@ -296,6 +296,18 @@ def test_asked_again_by_its_id_it_answers_the_same_to_contacts_in_metres_and_in_
     # Other loads and another material are those of a question asked anew.
     harder = replace(asked, loads=(front(scene, 6.0),), material=Material(2e5, 0.3))
     same(keeping.predict(harder), keeping.predict(replace(harder, source=again_of(first))))
+
+
+def test_what_is_kept_is_counted_whole(models: Models, scene: TableScene) -> None:
+    """Every array of a kept body, and none of them a view that holds more memory than it shows."""
+    kept = Reconstructions[Body](16 * 2**20, 60.0)
+    answered = Pipeline(models.reconstruction, models.deformation, kept=kept).predict(request(scene))
+    body = kept.find(again_of(answered).reconstruction_id)
+    held = [*vars(body).values(), *vars(body.crop).values()]
+    arrays = [value for value in held if isinstance(value, np.ndarray)]
+    assert len(arrays) >= 5
+    assert not [array for array in arrays if array.base is not None and array.base.nbytes > array.nbytes]
+    assert kept.nbytes == sum(array.nbytes for array in arrays)
 
 
 def test_a_known_shape_is_asked_again_too_but_has_no_pixels(keeping: Pipeline) -> None:

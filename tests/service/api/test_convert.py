@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 import io
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from service.api import convert
+from service.api.scene import scene_glb
 from service.api.schemas import DeformReply
 from service.core.errors import InvalidCamera, InvalidFrame, InvalidRequest, MaterialOutOfRange, UnknownMaterial
 from service.core.messages import KnownShape, Observation
@@ -204,7 +206,8 @@ def test_a_known_shape_has_nothing_observed():
 def test_the_archive_holds_the_same():
     request = asked(SCENE.request(loads=[LOAD, LOAD], outputs=ALL))
     result = fake_result(request)
-    data = convert.reply_npz(result, request.outputs, "r-7", {"total": 3.0})
+    result = replace(result, reconstruction_id="again")
+    data = convert.reply_npz(result, request.outputs | {"scene"}, "r-7", {"total": 3.0})
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
         np.testing.assert_array_equal(archive["reconstruction"], result.reconstruction)
         assert archive["reconstruction"].dtype == bool
@@ -215,7 +218,8 @@ def test_the_archive_holds_the_same():
         np.testing.assert_array_equal(archive["camera_from_grid"], result.grid.camera_from_grid)
         assert archive["voxel_size_m"] == result.grid.pitch_m
         np.testing.assert_array_equal(archive["max_displacement_m"], [0.003, 0.006])
+        assert archive["scene"].tobytes() == scene_glb(result)
         meta = json.loads(str(archive["meta"]))
-    assert meta["request_id"] == "r-7"
+    assert (meta["request_id"], meta["reconstruction_id"]) == ("r-7", "again")
     assert meta["load_flags"] == [["contact_snapped"]] * 2
     assert meta["timing_ms"] == {"total": 3.0}

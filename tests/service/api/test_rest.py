@@ -225,6 +225,13 @@ def test_a_deadline_must_be_a_number(client, value):
     assert problem(reply, 400, "invalid_request")["field"] == "X-Deadline-Ms"
 
 
+def test_a_deadline_already_past_computes_nothing(client, service):
+    asked = len(service.predictor.asked)
+    reply = client.post("/v1/deform", json=SCENE.request(), headers={"X-Deadline-Ms": "1e-6"})
+    problem(reply, 504, "deadline_exceeded")
+    assert len(service.predictor.asked) == asked
+
+
 def test_too_many_loads(client):
     body = SCENE.request()
     body["loads"] *= 5

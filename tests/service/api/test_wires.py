@@ -115,7 +115,10 @@ def test_a_reconstruction_is_asked_again_by_its_id_on_either_wire(wires, name):
     _, answered = wires.over_http(first)
     source = {key: first[key] for key in first if key not in ("camera", "depth", "shape", "mask", "up", "roi")}
     again = source | {"reconstruction_id": answered["reconstruction_id"]}
-    for status, answer in (wires.over_http(again), wires.over_grpc(again)):
+    frame = rpc_client.pb.DeformStreamRequest(frame_id=1, request=rpc_client.message(again))
+    (streamed,) = wires.grpc.DeformStream(iter([frame]), timeout=30)
+    by_stream = ("OK", rpc_client.document(streamed.answer))
+    for status, answer in (wires.over_http(again), wires.over_grpc(again), by_stream):
         assert status in (200, "OK"), answer
         assert answer["reconstruction_id"] == answered["reconstruction_id"]
         assert without_names(answer) == without_names(answered)
