@@ -1,11 +1,13 @@
 """How many finished samples the simulator gives a minute on one core, where the time goes, and the memory it takes.
 
-A linear sample is finished when it is solved, its force is chosen, and its deformed occupancy, backward and forward
-field stand on 64³ voxels; all loads of a body share one factor. Drawing a body (`draw`), packing samples as a data set
-keeps them (`pack`) and writing them (`store`) are timed beside that. Wall and processor time are both taken: where they
-differ, the machine was not quiet.
+A linear sample is finished when it is solved, its force is chosen, and its deformed occupancy on 64³ voxels is known,
+with its backward and forward field at every voxel of the body; all loads of a body share one factor. Drawing a body
+(`draw`), packing samples as a data set keeps them (`pack`) and writing them (`store`) are timed beside that. Wall and
+processor time are both taken: where they differ, the machine was not quiet.
 
-    python -m benchmarks.simulator.throughput --bodies 12 --loads 64
+    python -m benchmarks.simulator.throughput
+
+takes two minutes on a quiet core.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.simulator.oracle import measure_oracle
+from benchmarks.simulator.throughput_report import markdown, processor
 from service.core.grids import pack_bits
 from training.data.body_cube import place_in_body_grid
 from training.data.everyday import EverydayConfig, draw_group
@@ -38,7 +42,6 @@ from training.simulation.enhanced import EnhancedHexahedron
 from training.simulation.families import FAMILIES, sample_shape
 from training.simulation.force_search import force_for_identity_iou
 from training.simulation.loads import Load, load_cases
-from training.simulation.material_law import lame
 from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.newton import solve_neo_hookean
 from training.simulation.overlap import RestOverlap
@@ -47,13 +50,12 @@ from training.simulation.sampled import SampledDistance
 from training.simulation.shapes import min_thickness
 
 ELEMENTS = {"mean-dilatation": MeanDilatationHexahedron, "enhanced": EnhancedHexahedron}
-A_BODY = ("fill", "number", "contacts", "rest", "assembly", "factor")
+A_BODY = ("fill", "number", "contacts", "rest", "skin", "assembly", "factor")
 """Stages that all samples of a body share."""
 A_SAMPLE = ("load", "solve", "force search", "voxelise")
 """Stages of every finished linear sample."""
 BESIDE = ("draw", "pack", "store")
 """Stages that a sample is finished without."""
-TARGETS = {"linear": 5000, "nonlinear": 200, "memory_gb": 1.5}
 FRACTIONS = (1 / 3, 2 / 3, 1.0)
 
 
@@ -111,6 +113,8 @@ def linear_samples(body: Body, count: int, rng: np.random.Generator, make: Calla
         contacts, normals = body.surface_points(count, rng)
     with watch("rest"):
         fine, overlap = Rasteriser(body), RestOverlap.of(body)
+    with watch("skin"):
+        _ = body.skin
     with watch("assembly"):  # the factor's time is taken out below
         solver = make(body)
     loads = [
@@ -240,47 +244,6 @@ def measure_everyday(args: argparse.Namespace) -> dict[str, float]:
             "per_minute_cpu": 60 * samples / cpu}  # fmt: skip
 
 
-def measure_oracle(body: Body, poisson_ratio: float = 0.3) -> dict[str, float]:
-    """One load on one body: our assembly, factor and solve beside scikit-fem's, on the same cells."""
-    import scipy.sparse as sp
-    import skfem
-    from skfem.models.elasticity import linear_elasticity
-
-    def timed(action: Callable[[], Any]) -> tuple[Any, float]:
-        start = time.process_time()
-        return action(), time.process_time() - start
-
-    body.__dict__.pop("pattern", None)
-    forces = np.zeros((1, body.nodes, 3))
-    forces[0, body.node_grid[:, 2] == body.node_grid[:, 2].max(), 0] = 1e-4
-    _, ours = timed(lambda: solver_module.LinearSolver(body, poisson_ratio).solve_forces(forces))
-
-    def assemble() -> tuple[Any, ...]:
-        line = np.linspace(0.0, 1.0, body.cells + 1)
-        mesh = skfem.MeshHex.init_tensor(line, line, line)
-        index = np.floor(mesh.p[:, mesh.t].mean(axis=1).T * body.cells).astype(int)
-        wanted = np.zeros((body.cells,) * 3, bool)
-        wanted[tuple(body.active.T)] = True
-        mesh = mesh.restrict(np.flatnonzero(wanted[tuple(index.T)]))
-        basis = skfem.Basis(mesh, skfem.ElementVector(skfem.ElementHex1()), intorder=2)
-        mu, lam = lame(poisson_ratio)
-        stiffness = linear_elasticity(lam, mu).assemble(basis)
-        rhs = np.zeros(stiffness.shape[0])
-        top = np.isclose(mesh.p[2], body.node_positions[:, 2].max())
-        rhs[basis.nodal_dofs[0, top]] = 1e-4
-        held = basis.get_dofs(lambda x: np.isclose(x[2], 0.0))
-        return skfem.condense(stiffness, rhs, D=held, expand=False)
-
-    (matrix, rhs), assembly = timed(assemble)
-    _, superlu = timed(lambda: skfem.solve(matrix, rhs))
-    result = {"cells": len(body.active), "ours_s": ours, "skfem_assembly_s": assembly, "skfem_superlu_s": superlu}
-    try:
-        import pypardiso
-    except ImportError:
-        return result
-    return {**result, "skfem_pardiso_s": timed(lambda: pypardiso.spsolve(sp.csr_matrix(matrix), rhs))[1]}
-
-
 def per_minute(seconds: dict[str, float], counts: Counts, stages: tuple[str, ...]) -> float:
     """Finished linear samples a minute of these stages."""
     return 60.0 * counts.linear / sum(seconds[stage] for stage in stages)
@@ -322,70 +285,6 @@ def report(args: argparse.Namespace) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def processor() -> str:
-    """Name of the processor."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        return platform.processor() or platform.machine()
-
-
-def markdown(result: dict[str, Any]) -> str:
-    """The result as a page."""
-    linear, nonlinear, oracle, config = (result[key] for key in ("linear", "nonlinear", "scikit_fem", "configuration"))
-    load = result["machine"]["load_average"][0]
-    lines = [
-        "# Throughput of the simulator on one core",
-        "",
-        f"`python -m benchmarks.simulator.throughput --bodies {config['bodies']} --loads {config['loads']}` on "
-        f"{result['machine']['processor']}, one thread, load average {load:.1f}; {config['cells']}³ cells, "
-        f"{config['element']} element, {result['bodies']} bodies of {result['mean_cells']:.0f} cells on average.",
-        "",
-        "| | processor time | wall time | wanted |",
-        "|---|---|---|---|",
-        f"| finished linear samples a minute | {linear['per_minute_cpu']:.0f} | {linear['per_minute_wall']:.0f} | "
-        f"{TARGETS['linear']} |",
-        f"| … with drawing, packing and writing | {linear['with_draw_pack_store_per_minute_cpu']:.0f} | | |",
-        f"| nonlinear samples a minute | {nonlinear['per_minute_cpu']:.0f} | {nonlinear['per_minute_wall']:.0f} | "
-        f"{TARGETS['nonlinear']} |",
-    ]
-    if result["everyday"]:
-        everyday = result["everyday"]
-        lines.append(
-            f"| `everyday`, drawn and written, samples a minute | {everyday['per_minute_cpu']:.0f} | "
-            f"{everyday['per_minute_wall']:.0f} | |"
-        )
-    lines += [
-        f"| peak memory of a worker, GB | {result['memory_gb']:.2f} | | {TARGETS['memory_gb']} |",
-        "",
-        "## Where the time goes (processor milliseconds)",
-        "",
-        f"| stage | a body | a sample at {config['loads']} loads |",
-        "|---|---|---|",
-    ]
-    each = result["bodies"] / linear["samples"]
-    lines += [f"| {stage} | {ms:.1f} | {ms * each:.2f} |" for stage, ms in linear["a_body_ms"].items()]
-    lines += [f"| {stage} | | {ms:.2f} |" for stage, ms in linear["a_sample_ms"].items()]
-    lines += [
-        "",
-        "Nonlinear, a sample: " + ", ".join(f"{k} {ms:.1f} ms" for k, ms in nonlinear["a_sample_ms"].items()) + ".",
-        "",
-        "## Beside scikit-fem",
-        "",
-        f"One load on one body of {oracle['cells']} cells, trilinear elements, ν = 0.3, processor seconds:",
-        "",
-        "| | seconds | ratio to ours |",
-        "|---|---|---|",
-        f"| ours: sparsity, assembly, factor, solve | {oracle['ours_s']:.3f} | 1 |",
-    ]
-    for key, name in (("skfem_superlu_s", "its own solver (SuperLU)"), ("skfem_pardiso_s", "MKL PARDISO")):
-        if key in oracle:
-            total = oracle["skfem_assembly_s"] + oracle[key]
-            lines.append(f"| scikit-fem: assembly, {name} | {total:.3f} | {total / oracle['ours_s']:.1f} |")
-    return "\n".join(lines) + "\n"
-
-
 def pin_to_one_thread() -> None:
     """Start again with one thread: the libraries read their number of threads when they load."""
     if any(os.environ.get(variable) != "1" for variable in THREAD_VARIABLES):
@@ -395,7 +294,7 @@ def pin_to_one_thread() -> None:
 def main() -> None:
     pin_to_one_thread()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bodies", type=int, default=12)
+    parser.add_argument("--bodies", type=int, default=8)
     parser.add_argument("--loads", type=int, default=64, help="linear loads on each body")
     parser.add_argument("--nonlinear-bodies", type=int, default=6)
     parser.add_argument("--nonlinear-loads", type=int, default=3)
