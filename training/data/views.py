@@ -105,7 +105,7 @@ def draw_group(config: ViewsConfig, index: int) -> dict[str, np.ndarray]:
     rows: list[tuple[VoxelView, Occupancy, float]] = []
     for number in range(config.views):
         # A generator of its own for each view: one that fails must not shift the others.
-        view = _draw_view(body, config, np.random.default_rng(np.random.SeedSequence((config.seed, index, number))))
+        view = draw_view(body, config, np.random.default_rng(np.random.SeedSequence((config.seed, index, number))))
         if view is not None:
             rows.append((*view, number))
     if not rows:
@@ -140,7 +140,7 @@ def _longest(grid: DistanceGrid) -> float:
     return float((grid.bounds[:, 1] - grid.bounds[:, 0]).max())
 
 
-def _draw_view(
+def draw_view(
     body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator
 ) -> tuple[VoxelView, Occupancy] | None:
     """What the service would make of one frame, and the truth in the same grid; None where it misses the object."""
