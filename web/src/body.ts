@@ -15,12 +15,20 @@ const COARSE = 2;
 const SHARPEST = 1;
 const LARGEST_SPREAD = 8;
 
+/** Repetitions of y = x + u(y); the damping lets it end where the material is pressed to a third. */
+const ROUNDS = 12;
+const DAMPING = 0.7;
+const CLOSE = 0.03;
+
 export class Body {
   readonly pitch: number;
   readonly cameraFromGrid: Rigid;
   readonly gridFromCamera: Rigid;
   /** Occupancy probability, 0 to 255, on the whole grid. */
   readonly rest: Float32Array;
+  /** The same around the body alone, from the voxel `origin` on. */
+  readonly field: Field;
+  readonly origin: Vec3;
   readonly iso: number;
   readonly observed: Uint8Array | null;
 
@@ -29,7 +37,10 @@ export class Body {
     this.cameraFromGrid = answer.grid.camera_from_grid;
     this.gridFromCamera = invert(this.cameraFromGrid);
     this.iso = 255 * answer.threshold;
-    this.rest = spread(answer.parts.rest!);
+    const part = answer.parts.rest!;
+    this.rest = spread(part);
+    this.field = { values: Float32Array.from(part.array), size: part.shape as [number, number, number] };
+    this.origin = part.origin;
     this.observed = (answer.parts.observed?.array as Uint8Array | undefined) ?? null;
   }
 
@@ -48,10 +59,9 @@ export class Body {
     return transform(this.cameraFromGrid, [x * this.pitch, y * this.pitch, z * this.pitch]);
   }
 
-  /** Whether a measured point belongs to the object as the service understood it. */
-  holds(point: Vec3): boolean {
-    const [i, j, k] = this.toVoxels(point).map(Math.floor) as [number, number, number];
-    if (!this.observed || Math.min(i, j, k) < 0 || Math.max(i, j, k) >= GRID) return false;
+  /** Whether the camera saw the object in a voxel. */
+  sees(i: number, j: number, k: number): boolean {
+    if (!this.observed || i < 0 || j < 0 || k < 0 || i >= GRID || j >= GRID || k >= GRID) return false;
     const bit = (i * GRID + j) * GRID + k;
     return ((this.observed[bit >> 3]! >> (bit & 7)) & 1) === 1;
   }
@@ -107,22 +117,33 @@ export class Motion {
     }
   }
 
-  /** The body carried along: the material at y was at y − u(y), so its probability there is that of the rest. */
-  carry(body: Body): { field: Field; origin: Vec3 } {
-    const [nx, ny, nz] = this.#size.map((cells) => cells * COARSE) as [number, number, number];
-    const values = new Float32Array(nx * ny * nz);
+  /**
+   * Where the points of the body at rest have gone: y = x + u(y), since u is told of the material now at y. Solved by
+   * damped repetition from `offsets`, the answer to the push before, which then holds this one's.
+   *
+   * Args:
+   *   places: Points at rest in voxels, x y z.
+   *   offsets: How far each has gone, in voxels; all zero for a start.
+   *   pitch: Edge of a voxel in metres.
+   */
+  carry(places: Float32Array, offsets: Float32Array, pitch: number): void {
     const u = new Float64Array(3);
-    const [ox, oy, oz] = this.#origin;
-    for (let x = 0, at = 0; x < nx; x++) {
-      for (let y = 0; y < ny; y++) {
-        for (let z = 0; z < nz; z++, at++) {
-          const [px, py, pz] = [ox + x + 0.5, oy + y + 0.5, oz + z + 0.5];
-          this.at(px, py, pz, u);
-          values[at] = body.at(px - u[0]! / body.pitch, py - u[1]! / body.pitch, pz - u[2]! / body.pitch);
-        }
+    for (let at = 0; at < places.length; at += 3) {
+      let dx = offsets[at]!;
+      let dy = offsets[at + 1]!;
+      let dz = offsets[at + 2]!;
+      for (let round = 0; round < ROUNDS; round++) {
+        this.at(places[at]! + dx, places[at + 1]! + dy, places[at + 2]! + dz, u);
+        const [ex, ey, ez] = [u[0]! / pitch - dx, u[1]! / pitch - dy, u[2]! / pitch - dz];
+        dx += DAMPING * ex;
+        dy += DAMPING * ey;
+        dz += DAMPING * ez;
+        if (Math.abs(ex) + Math.abs(ey) + Math.abs(ez) < CLOSE) break;
       }
+      offsets[at] = dx;
+      offsets[at + 1] = dy;
+      offsets[at + 2] = dz;
     }
-    return { field: { values, size: [nx, ny, nz] }, origin: this.#origin };
   }
 }
 

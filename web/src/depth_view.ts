@@ -29,30 +29,29 @@ export class DepthView {
     this.#listen();
   }
 
-  /** Draw a frame; of the object, which `held` tells by its pixels, the colours show the shape, the rest turns grey. */
-  show(frame: Frame, held: ((index: number) => boolean) | null): void {
+  /** Draw a frame; of the object, whose pixels `held` marks, the colours show the shape, the rest turns grey. */
+  show(frame: Frame, held: Uint8Array | null): void {
     this.#frame = frame;
     const { width, height, depth } = frame;
     const whole = usualRange(depth);
-    const own = held ? Uint8Array.from(depth, (z, i) => (!Number.isNaN(z) && held(i) ? 1 : 0)) : null;
-    const range = own ? usualRange(depth.filter((_, i) => own[i])) : whole;
+    const range = held ? usualRange(depth.filter((_, i) => held[i])) : whole;
     Object.assign(this.#canvas, { width, height });
     this.#overlay.setAttribute("viewBox", `0 0 ${width} ${height}`);
     this.#stage.style.aspectRatio = `${width} / ${height}`;
     const context = this.#canvas.getContext("2d")!;
     const image = context.createImageData(width, height);
-    const entryOf = (z: number, [near, far]: readonly [number, number]): number =>
-      3 * Math.max(0, Math.min(255, Math.round((255 * (z - near)) / (far - near))));
+    const pixels = image.data;
     for (let i = 0; i < depth.length; i++) {
       const z = depth[i]!;
       if (Number.isNaN(z)) continue;
-      const other = own !== null && !own[i];
-      const entry = entryOf(z, other ? whole : range);
-      for (let c = 0; c < 3; c++) image.data[4 * i + c] = other ? 168 - 0.1 * entry : DEPTH[entry + c]!;
-      image.data[4 * i + 3] = other ? 120 : 255;
+      const other = held !== null && held[i] === 0;
+      const [near, far] = other ? whole : range;
+      const entry = 3 * Math.max(0, Math.min(255, Math.round((255 * (z - near)) / (far - near))));
+      for (let c = 0; c < 3; c++) pixels[4 * i + c] = other ? 168 - 0.1 * entry : DEPTH[entry + c]!;
+      pixels[4 * i + 3] = other ? 120 : 255;
     }
     context.putImageData(image, 0, 0);
-    need("#depth-range").textContent = `${own ? "Object " : ""}${range[0].toFixed(2)} to ${range[1].toFixed(2)} m`;
+    need("#depth-range").textContent = `${held ? "Object " : ""}${range[0].toFixed(2)} to ${range[1].toFixed(2)} m`;
   }
 
   /** The force as it is now. */

@@ -3,7 +3,7 @@
 import type { Body } from "./body";
 import { DISPLACEMENT } from "./ramp";
 import { rotate, type Vec3 } from "./vec";
-import type { Skin } from "./view";
+import type { Skin } from "./skin";
 
 export function save(name: string, data: BlobPart, type: string): void {
   const url = URL.createObjectURL(new Blob([data], { type }));

@@ -2,6 +2,7 @@
 
 import "./style.css";
 import { Body, Motion } from "./body";
+import { cloudOf } from "./cloud";
 import { Controls, type NamedMaterial } from "./controls";
 import { DepthView } from "./depth_view";
 import { need } from "./dom";
@@ -13,8 +14,9 @@ import { Readout } from "./readout";
 import { SAMPLES, type Sample } from "./samples";
 import { listenForFiles, showSources } from "./sources";
 import { watchTheme } from "./theme";
+import { listenToTools } from "./tools";
 import { length, unit, type Vec3 } from "./vec";
-import { View, type Colouring, type Layer } from "./view";
+import { View } from "./view";
 
 const CUSTOM_MATERIAL = "dragon_skin_10";
 const SETTLE_MS = 350;
@@ -56,7 +58,7 @@ class Playground {
       reopened: () => this.#open(),
     });
     this.#live.token = this.#token;
-    this.#listenToTools();
+    this.#listenToPage();
     watchTheme(() => this.#restyle());
     showSources((sample, frame) => this.#useSample(sample, frame), (error) => this.#fail(error));
     listenForFiles((frame) => this.#useFrame(frame), (camera) => this.#useCamera(camera), (error) => this.#fail(error));
@@ -189,14 +191,15 @@ class Playground {
   #answered(answer: Answer): void {
     const frame = this.#frame;
     if (!frame) return;
-    this.#readout.link("open", `Live · ${answer.model.name} ${answer.model.version}`);
+    this.#readout.link("open", `${answer.model.name} ${answer.model.version}`);
     const began = performance.now();
     if (answer.parts.rest) {
       const body = new Body(answer);
-      this.#view.setBody(body, frame, answer.body !== this.#bodyVersion);
+      const cloud = cloudOf(frame, body);
+      this.#view.setBody(body, cloud, answer.body !== this.#bodyVersion);
       this.#bodyVersion = answer.body;
       this.#body = body;
-      this.#depth.show(frame, (i) => body.holds(pointAt(frame, i % frame.width, Math.floor(i / frame.width))!));
+      this.#depth.show(frame, cloud.held);
       this.#restyle();
       for (const part of ["#floor", "#reset"]) need(part).hidden = false;
       for (const button of document.querySelectorAll<HTMLButtonElement>("#save button")) button.disabled = false;
@@ -236,7 +239,6 @@ class Playground {
   #restyle(): void {
     const spacing = this.#view.restyle();
     need("#floor").textContent = spacing ? `Floor grid ${(1e3 * spacing).toFixed(0)} mm` : "";
-    if (this.#body && this.#frame) this.#view.repaintPoints(this.#frame);
   }
 
   #showCamera(camera: Camera, guessed: boolean): void {
@@ -251,27 +253,11 @@ class Playground {
     }
   }
 
-  #listenToTools(): void {
+  #listenToPage(): void {
     const view = this.#view;
-    need("#layers").addEventListener("change", (event) => {
-      const box = event.target as HTMLInputElement;
-      view.layers[box.value as Layer] = box.checked;
-      view.refresh();
-    });
-    need("#colouring").addEventListener("change", (event) => {
-      view.colouring = (event.target as HTMLInputElement).value as Colouring;
-      view.refresh();
+    listenToTools(view, () => {
       if (this.#body) this.#readout.legend(view.colouring, view.scaleM);
     });
-    const at = need<HTMLInputElement>("#cut-at");
-    need("#cut").addEventListener("input", (event) => {
-      const { name, value } = event.target as HTMLInputElement;
-      if (name === "cut") view.cut.axis = value === "" ? null : (Number(value) as 0 | 1 | 2);
-      view.cut.at = Number(at.value) / 100;
-      at.disabled = view.cut.axis === null;
-      view.rebuild();
-    });
-    need("#reset").addEventListener("click", () => view.stage.reset());
     view.stage.onDrawn = () => (need("#view").dataset.drawn = String(view.stage.drawn));
     need("#save").addEventListener("click", (event) => {
       const { kind } = (event.target as HTMLElement).dataset;

@@ -43,7 +43,8 @@ export class Readout {
   link(state: LinkState, model = ""): void {
     const link = need("#link");
     link.dataset.state = state;
-    need("span", link).textContent = state === "open" && model ? model : LINK[state];
+    need("span", link).textContent = LINK[state];
+    if (model || state !== "open") need(".model", link).textContent = model;
   }
 
   /** `pageMs` is what the page itself took to mesh and colour. */

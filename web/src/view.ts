@@ -6,32 +6,16 @@ import {
 } from "three"; // prettier-ignore
 import { Arrow } from "./arrow";
 import type { Body, Motion } from "./body";
-import { pointAt, type Frame } from "./frame";
+import type { Cloud } from "./cloud";
 import { DISPLACEMENT, UNCERTAINTY, type Ramp } from "./ramp";
+import { carried, skinOf, type Cut, type Skin } from "./skin";
 import { Stage } from "./stage";
-import { surfaceNets, type Field } from "./surface_nets";
 import { rotate, type Vec3 } from "./vec";
 
 export type Layer = "observed" | "reconstructed" | "deformed";
 export type Colouring = "displacement" | "uncertainty" | "plain";
 
-export interface Cut {
-  axis: 0 | 1 | 2 | null;
-  /** Share of the grid's edge at which it cuts. */
-  at: number;
-}
-
-/** A surface in voxels with what is known at each vertex, in metres. */
-export interface Skin {
-  positions: Float32Array;
-  normals: Float32Array;
-  triangles: Uint32Array;
-  displacement: Float32Array;
-  uncertainty: Float32Array;
-}
-
 const GRID = 64;
-const MOST_POINTS = 60_000;
 const ROUND = [1, 1.5, 2, 3, 4, 5, 6, 8];
 
 export class View {
@@ -52,8 +36,11 @@ export class View {
   readonly #rest = new Mesh(new BufferGeometry(), this.#ghost);
   readonly #deformed = new Mesh(new BufferGeometry(), this.#solid);
   readonly #points = new Points(new BufferGeometry(), new PointsMaterial({ size: 1.7, sizeAttenuation: false, vertexColors: true }));
+  #cloud: Cloud | null = null;
   #plain = new Color();
   #peakM = 0;
+  /** How far each point of the skin has gone, in voxels. */
+  #offsets = new Float32Array();
 
   constructor(
     private readonly canvas: HTMLCanvasElement,
@@ -78,26 +65,25 @@ export class View {
     this.#arrow.colour = style.getPropertyValue("--force").trim();
     this.#plain = colour("--clay");
     this.#ghost.uniforms.colour!.value = colour("--ghost");
+    this.#paintPoints();
     this.#recolour();
     return this.body ? this.stage.drawFloor(this.body.edge, colour("--floor")) : 0;
   }
 
   /** A new body; `look` at it from beside the camera, where it is another one. */
-  setBody(body: Body, frame: Frame, look: boolean): void {
+  setBody(body: Body, cloud: Cloud, look: boolean): void {
     this.body = body;
     this.motion = null;
-    this.#showPoints(frame, body);
+    this.#cloud = cloud;
+    this.#points.geometry.dispose();
+    this.#points.geometry = new BufferGeometry();
+    this.#points.geometry.setAttribute("position", new BufferAttribute(cloud.places, 3));
     this.rebuild();
     if (look) {
       let top = 0;
       for (let i = 2; i < this.restSkin!.positions.length; i += 3) top = Math.max(top, this.restSkin!.positions[i]!);
       this.stage.lookFrom(this.#place(body.toVoxels([0, 0, 0])), (0.5 * top) / GRID);
     }
-  }
-
-  /** After the colours of the page have changed. */
-  repaintPoints(frame: Frame): void {
-    if (this.body) this.#showPoints(frame, this.body);
   }
 
   setMotion(motion: Motion, peakM: number): void {
@@ -116,7 +102,8 @@ export class View {
   /** After the cut has moved. */
   rebuild(): void {
     if (!this.body) return;
-    this.restSkin = skinOf(this.body, null, { values: this.body.rest, size: [GRID, GRID, GRID] }, [0, 0, 0], this.cut);
+    this.restSkin = skinOf(this.body, this.cut);
+    this.#offsets = new Float32Array(this.restSkin.positions.length);
     fill(this.#rest.geometry, this.restSkin);
     this.#buildDeformed();
   }
@@ -139,9 +126,9 @@ export class View {
   }
 
   #buildDeformed(): void {
-    if (this.body && this.motion) {
-      const { field, origin } = this.motion.carry(this.body);
-      this.deformedSkin = skinOf(this.body, this.motion, field, origin, this.cut);
+    if (this.body && this.motion && this.restSkin) {
+      this.motion.carry(this.restSkin.positions, this.#offsets, this.body.pitch);
+      this.deformedSkin = carried(this.restSkin, this.#offsets, this.body.pitch);
       fill(this.#deformed.geometry, this.deformedSkin);
     } else {
       this.deformedSkin = null;
@@ -166,35 +153,16 @@ export class View {
     return new Vector3(x / GRID - 0.5, y / GRID - 0.5, z / GRID);
   }
 
-  /** The depth image around the object, what belongs to it darker than what does not. */
-  #showPoints(frame: Frame, body: Body): void {
-    const places: number[] = [];
-    const colours: number[] = [];
+  /** What belongs to the object darker than what does not. */
+  #paintPoints(): void {
+    if (!this.#cloud) return;
     const style = getComputedStyle(this.canvas);
-    const own = new Color(style.getPropertyValue("--measured").trim());
-    const other = new Color(style.getPropertyValue("--around").trim());
-    const step = Math.max(1, Math.ceil(Math.sqrt((frame.width * frame.height) / MOST_POINTS / 4)));
-    for (let v = 0; v < frame.height; v += step) {
-      for (let u = 0; u < frame.width; u += step) {
-        const point = pointAt(frame, u, v);
-        if (!point) continue;
-        const at = body.toVoxels(point);
-        const place = this.#place(at);
-        const far = Math.hypot(place.x, place.y);
-        if (far > 0.95 || place.z < -0.05 || place.z > 1.1) continue;
-        const held = body.holds(point);
-        if (!held && (u / step + v / step) % 2) continue;
-        places.push(place.x, place.y, place.z);
-        const colour = held ? own : other;
-        colours.push(colour.r, colour.g, colour.b);
-      }
-    }
+    const [other, own] = ["--around", "--measured"].map((name) => new Color(style.getPropertyValue(name).trim())) as [Color, Color];
+    const colours = new Float32Array(this.#cloud.places.length);
+    this.#cloud.own.forEach((mine, i) => (mine ? own : other).toArray(colours, 3 * i));
+    this.#points.geometry.setAttribute("color", new BufferAttribute(colours, 3));
     // On a phone's width the same pixels lie closer.
     this.#points.material.size = this.canvas.clientWidth < 600 ? 1 : 1.7;
-    this.#points.geometry.dispose();
-    this.#points.geometry = new BufferGeometry();
-    this.#points.geometry.setAttribute("position", new BufferAttribute(new Float32Array(places), 3));
-    this.#points.geometry.setAttribute("color", new BufferAttribute(new Float32Array(colours), 3));
   }
 
   /** A click on the body, not the end of a turn, moves the contact there. */
@@ -224,43 +192,6 @@ export function roundUp(value: number): number {
   if (!(value > 0)) return 0.001;
   const power = 10 ** Math.floor(Math.log10(value));
   return (ROUND.find((step) => step * power >= value * 0.999) ?? 10) * power;
-}
-
-function skinOf(body: Body, motion: Motion | null, field: Field, origin: Vec3, cut: Cut): Skin {
-  const surface = surfaceNets(cut.axis === null ? field : cutField(field, origin, cut.axis, cut.at * GRID, body.iso), body.iso);
-  const { positions, normals } = surface;
-  const count = positions.length / 3;
-  const displacement = new Float32Array(count);
-  const uncertainty = new Float32Array(count);
-  const u = new Float64Array(3);
-  for (let i = 0, at = 0; i < count; i++, at += 3) {
-    for (let axis = 0; axis < 3; axis++) positions[at + axis]! += origin[axis]! + 0.5;
-    const [x, y, z] = [positions[at]!, positions[at + 1]!, positions[at + 2]!];
-    if (motion) {
-      motion.at(x, y, z, u);
-      displacement[i] = Math.hypot(u[0]!, u[1]!, u[2]!);
-    }
-    uncertainty[i] = body.uncertainty(
-      x - u[0]! / body.pitch, y - u[1]! / body.pitch, z - u[2]! / body.pitch,
-      normals[at]!, normals[at + 1]!, normals[at + 2]!,
-    ); // prettier-ignore
-  }
-  return { positions, normals, triangles: surface.triangles, displacement, uncertainty };
-}
-
-/** Empty beyond a plane, so that the surface closes there and shows what is inside. */
-function cutField(field: Field, origin: Vec3, axis: 0 | 1 | 2, plane: number, iso: number): Field {
-  const [nx, ny, nz] = field.size;
-  const values = new Float32Array(field.values.length);
-  for (let x = 0, at = 0; x < nx; x++) {
-    for (let y = 0; y < ny; y++) {
-      for (let z = 0; z < nz; z++, at++) {
-        const place = origin[axis]! + 0.5 + (axis === 0 ? x : axis === 1 ? y : z);
-        values[at] = Math.min(field.values[at]!, iso + 255 * (plane - place));
-      }
-    }
-  }
-  return { values, size: field.size };
 }
 
 function fill(geometry: BufferGeometry, skin: Skin): void {

@@ -71,11 +71,21 @@ def parts_of(data: bytes | str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     return head, parts
 
 
+@pytest.fixture(scope="module")
+def service() -> Iterator[Running]:
+    """For tests that leave nothing behind."""
+    with running(Keeping()) as service:
+        yield service
+
+
+def join(service: Running) -> ClientConnection:
+    return connect(f"{service.url.replace('http', 'ws')}/v1/live", max_size=None)
+
+
 @contextmanager
 def connected(predictor: FakePredictor | None = None, **settings: Any) -> Iterator[tuple[ClientConnection, Running]]:
-    with running(predictor or Keeping(), **settings) as service:
-        with connect(f"{service.url.replace('http', 'ws')}/v1/live", max_size=None) as socket:
-            yield socket, service
+    with running(predictor or Keeping(), **settings) as service, join(service) as socket:
+        yield socket, service
 
 
 def test_the_first_answer_brings_the_body_and_later_ones_only_the_displacement():
@@ -121,8 +131,8 @@ def test_the_parts_are_the_result():
     assert head["timing_ms"]["total"] >= head["timing_ms"]["encode"] > 0.0
 
 
-def test_an_image_may_come_as_base64_too():
-    with connected() as (socket, _):
+def test_an_image_may_come_as_base64_too(service):
+    with join(service) as socket:
         socket.send(json.dumps({"frame": 1, "request": SCENE.request()}))
         assert parts_of(socket.recv(timeout=10))[0]["frame"] == 1
 
@@ -186,8 +196,8 @@ def test_the_newest_push_wins_and_those_it_overtakes_hear_of_it():
         (opening(9, loads=[]), "invalid_request", "request.loads"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_and_the_connection_goes_on(sent, code, field):
-    with connected() as (socket, _):
+def test_what_is_wrong_is_said_and_the_connection_goes_on(service, sent, code, field):
+    with join(service) as socket:
         socket.send(sent)
         reply = json.loads(socket.recv(timeout=10))
         assert reply["problem"]["code"] == code
@@ -197,8 +207,8 @@ def test_what_is_wrong_is_said_and_the_connection_goes_on(sent, code, field):
         assert parts_of(socket.recv(timeout=10))[0]["frame"] == 10
 
 
-def test_messages_are_numbered_upwards():
-    with connected() as (socket, _):
+def test_messages_are_numbered_upwards(service):
+    with join(service) as socket:
         socket.send(opening(5))
         socket.recv(timeout=10)
         socket.send(push(5))
@@ -216,14 +226,13 @@ def test_a_token_comes_in_the_first_head():
         assert parts_of(socket.recv(timeout=10))[0]["frame"] == 3
 
 
-def test_pages_from_elsewhere_are_refused():
-    with running(Keeping()) as service:
-        url = f"{service.url.replace('http', 'ws')}/v1/live"
-        with pytest.raises(InvalidStatus):
-            connect(url, origin="https://elsewhere.example")  # type: ignore[arg-type]
-        with connect(url, origin=service.url) as socket:  # type: ignore[arg-type]
-            socket.send(opening())
-            assert isinstance(socket.recv(timeout=10), bytes)
+def test_pages_from_elsewhere_are_refused(service):
+    url = f"{service.url.replace('http', 'ws')}/v1/live"
+    with pytest.raises(InvalidStatus):
+        connect(url, origin="https://elsewhere.example")  # type: ignore[arg-type]
+    with connect(url, origin=service.url) as socket:  # type: ignore[arg-type]
+        socket.send(opening())
+        assert isinstance(socket.recv(timeout=10), bytes)
 
 
 def test_the_end_of_the_service_ends_the_connection():
