@@ -103,7 +103,7 @@ def test_training_is_kept_from_every_module_of_the_service_but_its_core() -> Non
 
 def test_service_modules_outside_the_layers_are_known() -> None:
     """A module beside the layers could be a way around them: list it here with what it may know."""
-    layers = {name.strip("()") for name in _contract("one way")["layers"]}
+    layers = {name.strip("() ") for layer in _contract("one way")["layers"] for name in layer.split("|")}
     beside = {
         path.stem
         for path in (ROOT / "service").iterdir()
