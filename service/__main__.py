@@ -1,4 +1,4 @@
-"""The command line: `physnet serve | predict | replay | materials | models | doctor | completion`."""
+"""The command line: `physnet serve | predict | replay | bench | materials | models | doctor | completion`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from pydantic import ValidationError
 
+from service.commands.bench import add_bench
 from service.commands.completion import add_completion
 from service.commands.doctor import add_doctor
 from service.commands.exits import EPILOG, FAILED, INTERRUPTED, OK, REFUSED, USAGE, UsageError
@@ -54,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
     add_serve(commands)
     add_predict(commands)
     add_replay(commands)
+    add_bench(commands)
     add_materials(commands)
     add_models(commands)
     add_doctor(commands)

@@ -1,0 +1,99 @@
+"""The bare time of what the pipeline cannot do without: its networks, and the physics prior where one is served."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from service.api import convert
+from service.bench.question import BenchQuestion
+from service.core import prior
+from service.inference.registry import load_models
+from service.pipeline import Pipeline
+from service.settings import Settings
+
+
+class BareGraphs:
+    """Every call of a network that one question makes, with the very inputs it has there, to be made again alone.
+
+    Args:
+        settings: Models and threads, those of the service it is compared with.
+        question: What is asked.
+    """
+
+    def __init__(self, settings: Settings, question: BenchQuestion) -> None:
+        models = load_models(settings.models, settings.threads)
+        pipeline = Pipeline(models.reconstruction, models.deformation)
+        body = convert.parse_body(question.json)
+        request = convert.deform_request(body, settings.max_loads)
+        self._calls: dict[str, list[Callable[[], object]]] = {}
+        with _recorded(models, self._calls):
+            pipeline.predict(request)
+        for name in list(self._calls):
+            self.time_ms(name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """`reconstruction`, `deformation`, and `prior` where one is computed."""
+        return tuple(self._calls)
+
+    def time_ms(self, name: str) -> float:
+        """Wall time of one of them, once."""
+        began = time.perf_counter()
+        for call in self._calls[name]:
+            call()
+        return 1e3 * (time.perf_counter() - began)
+
+    def medians_ms(self, repeats: int) -> dict[str, float]:
+        """Median wall time of each, taken in turns."""
+        times: dict[str, list[float]] = {name: [] for name in self._calls}
+        for _ in range(repeats):
+            for name, found in times.items():
+                found.append(self.time_ms(name))
+        return {name: float(np.median(found)) for name, found in times.items()}
+
+
+class _Recorder:
+    """A session that remembers what it was asked."""
+
+    def __init__(self, session: Any, calls: list[Callable[[], object]]) -> None:
+        self._session = session
+        self._calls = calls
+
+    def run(self, names: Any, feeds: dict[str, np.ndarray]) -> Any:
+        kept = {name: np.array(value) for name, value in feeds.items()}
+        self._calls.append(lambda: self._session.run(names, kept))
+        return self._session.run(names, feeds)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._session, name)
+
+
+@contextmanager
+def _recorded(models: Any, calls: dict[str, list[Callable[[], object]]]) -> Iterator[None]:
+    """While it lasts, both networks and the prior's solve leave what they are asked in `calls`."""
+    networks = (models.reconstruction, models.deformation)
+    for network in networks:
+        network._session = _Recorder(network._session, calls.setdefault(network.manifest.kind, []))
+    solve = prior.ElasticPrior.displacements
+
+    def recorded(self: prior.ElasticPrior, conditions: Any, *more: Any, **named: Any) -> Any:
+        body, poisson_ratio = self.occupancy, float(conditions[0][7])
+
+        def again() -> object:
+            return solve(prior.ElasticPrior(body, poisson_ratio), conditions, *more, **named)
+
+        calls.setdefault("prior", []).append(again)
+        return solve(self, conditions, *more, **named)
+
+    prior.ElasticPrior.displacements = recorded  # type: ignore[method-assign]
+    try:
+        yield
+    finally:
+        prior.ElasticPrior.displacements = solve  # type: ignore[method-assign]
+        for network in networks:
+            network._session = network._session._session
