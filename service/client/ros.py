@@ -146,11 +146,11 @@ def point_cloud_of(
 def triangles_of(result: Result, layer: Layer = "deformed", push: int = 0) -> Points:
     """Corners of a surface's triangles, three after three, camera frame, metres: points of a TRIANGLE_LIST marker."""
     mesh = result.mesh(layer, push)
-    return mesh.vertices_m[mesh.faces.ravel()]
+    return np.asarray(mesh.vertices_m[mesh.faces.ravel()])
 
 
 def voxel_displacements_m(result: Result, push: int = 0) -> np.ndarray:
     """How far the material at each voxel of the deformed body has come, in the order of `points_camera`."""
     field_m = result[push].displacement_m
     assert field_m is not None
-    return np.linalg.norm(field_m[:, result[push].deformed].astype(np.float32), axis=0)
+    return np.asarray(np.linalg.norm(field_m[:, result[push].deformed].astype(np.float32), axis=0))

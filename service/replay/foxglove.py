@@ -115,7 +115,7 @@ class FoxgloveWriter:
 
     def close(self) -> None:
         """Write the index and close."""
-        self._writer.finish()
+        self._writer.finish()  # type: ignore[no-untyped-call]  # mcap's own
         self._file.close()
 
     def __enter__(self) -> FoxgloveWriter:

@@ -28,6 +28,21 @@ def test_the_ten_lines_of_the_readme_do_a_real_call(live_service: LiveService, t
     assert [path.suffix for path in tmp_path.iterdir()] == [".glb"]
 
 
+def test_the_page_on_the_client_runs(live_service: LiveService, tmp_path, monkeypatch, capsys):
+    """All but the stream's, which is about a camera that there is not."""
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "client.md").read_text("utf-8"), re.S)
+    blocks = [block for block in blocks if "on_frame" not in block]
+    assert len(blocks) == 3
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    for block in blocks:
+        code = block.replace("grpc://127.0.0.1:8001", f"grpc://{live_service.grpc}")
+        exec(compile(code.replace("examples/", f"{ROOT}/examples/"), "client.md", "exec"), names)
+    said = capsys.readouterr().out
+    assert re.search(r"loads\[1\]\.contact_m: 0\.\d{3} m beside the body", said), said
+    assert (tmp_path / "after.ply").stat().st_size > 10_000
+
+
 @pytest.fixture(scope="module")
 def service() -> Iterator[Running]:
     with running(FakePredictor()) as service:

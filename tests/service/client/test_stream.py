@@ -16,7 +16,7 @@ from service.client import Answer, AsyncPhysNetClient, Camera, PhysNetClient, Pu
 from service.client.frames import FrameBook
 from service.core.errors import ContactOffBody, PhysNetError, Unauthenticated
 from tests.service.box_scene import BoxScene
-from tests.service.client.test_client import _free_ports
+from tests.service.client.ports import free_ports
 from tests.service.fakes import FakePredictor, Running, running
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
@@ -146,7 +146,7 @@ def test_the_latest_answer_leaves_older_ones(service, gate, wire):
 
 
 def test_a_service_that_is_started_again_is_found_again():
-    ports = dict(zip(("http_port", "grpc_port"), _free_ports(), strict=True))
+    ports = dict(zip(("http_port", "grpc_port"), free_ports(), strict=True))
     with ExitStack() as stack:
         with running(FakePredictor(), **ports):
             client = stack.enter_context(PhysNetClient(f"grpc://127.0.0.1:{ports['grpc_port']}"))
@@ -228,7 +228,7 @@ def test_the_same_for_asyncio(service, gate, wire):
 
 
 def test_asyncio_finds_a_service_again_and_hears_why_there_will_be_none():
-    ports = dict(zip(("http_port", "grpc_port"), _free_ports(), strict=True))
+    ports = dict(zip(("http_port", "grpc_port"), free_ports(), strict=True))
     address = f"grpc://127.0.0.1:{ports['grpc_port']}"
 
     async def robot() -> None:

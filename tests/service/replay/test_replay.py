@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
 import subprocess
@@ -31,7 +32,7 @@ from service.replay.force import Force, force_of
 from service.replay.foxglove import quaternion_of, scene, voxel_grid
 from service.replay.frames import RecordedFrame
 from service.replay.player import Summary, paced, play
-from service.replay.progress import line, report
+from service.replay.progress import ProgressLine, line, report
 from service.settings import Settings
 from tests.poses import pose
 from tests.service.box_scene import BoxScene
@@ -194,6 +195,25 @@ def test_a_summary_of_nothing_has_no_latency():
     assert math.isnan(summary.percentile_ms(50.0))
     assert "1 times: No plane." in report(summary)
     assert "p50 –" in line(summary)
+
+
+class Screen(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_live_line_is_for_a_terminal_alone():
+    summary = Summary(sent=3, answered=2, skipped=1, recorded_s=0.1, played_s=0.4, round_trip_ms=[20.0, 40.0])
+    screen, pipe = Screen(), io.StringIO()
+    for out in (screen, pipe):
+        progress = ProgressLine(out)
+        # The second comes too soon to be read.
+        progress(summary)
+        progress(summary)
+        progress.end()
+    want = "    0.1 s  frames 3  answered 2 (5.0/s)  skipped 1  failed 0  p50 30 ms"
+    assert screen.getvalue() == f"\r\x1b[K{want}\r\x1b[K"
+    assert pipe.getvalue() == ""
 
 
 @pytest.mark.parametrize(
