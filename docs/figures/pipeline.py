@@ -238,7 +238,7 @@ def _deform(models: Models, camera: Any, image: EncodedImage) -> bytes:
         depth_m=None, observed=None, reconstruction=result.reconstruction, deformed=answer.deformed,
         displacement_m=answer.displacement_m, grid=result.grid, intrinsics=None,
         contact_m=pixel_to_point(*PRESS_PX, depth_m, camera), force_n=force_n,
-        caption=f"{np.linalg.norm(force_n):.3g} N on {MATERIAL}: moves {moved_mm:.1f} mm at most",
+        caption=f"{np.linalg.norm(force_n):.3g} N on {MATERIAL}: moves {moved_mm:.1f} mm at most", panel_px=PANEL_PX,
     )  # fmt: skip
 
 

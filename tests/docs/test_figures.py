@@ -19,6 +19,7 @@ def models() -> Models:
     return load_models(ROOT / "models", threads=1)
 
 
+@pytest.mark.timeout(600)  # a dozen seconds of a quiet core
 def test_every_stage_has_a_picture_that_the_code_draws(models: Models, tmp_path: Path):
     pytest.importorskip("matplotlib")
     specification = importlib.util.spec_from_file_location("docs_figures", ROOT / "docs/figures/pipeline.py")
@@ -27,12 +28,13 @@ def test_every_stage_has_a_picture_that_the_code_draws(models: Models, tmp_path:
     before = list(sys.path)
     specification.loader.exec_module(figures)
     sys.path[:] = before
+    figures.PANEL_PX = 120  # small: what costs time is every ray
     drawn = figures.draw(models, tmp_path)
     pages = sorted((ROOT / "docs/pipeline").glob("*.md"))
     assert {path.stem for path in drawn} == {page.stem for page in pages}
     for path in drawn:
         picture = cv2.imread(str(path))
-        assert picture.shape[1] > 700
+        assert picture.shape[1] > 240
         # Something is on it.
         assert np.ptp(picture) > 150
         page = (ROOT / "docs/pipeline" / f"{path.stem}.md").read_text("utf-8")
