@@ -117,8 +117,9 @@ def test_the_empty_page_offers_samples_and_asks_nobody_else(visit: Visit):
 
 def test_sliders_change_the_answer_over_the_one_connection(mug: Visit):
     page = mug.page
+    before = mug.answers()
     page.locator("#magnitude").fill("480")
-    mug.wait_for_answer(mug.answers())
+    mug.wait_for_answer(before)
     page.wait_for_timeout(300)
     gentle, before = mug.peak_mm(), mug.answers()
     page.evaluate("""async () => {

@@ -27,6 +27,8 @@ class Playground {
   #direction: Vec3 = [0, 0, 1];
   #body: Body | null = null;
   #bodyVersion = -1;
+  /** Whether the frame was refused, so that a push has to bring it again. */
+  #unopened = false;
   #token: string | null = sessionStorage.getItem("token");
   #looking: ReturnType<typeof setTimeout> | undefined;
 
@@ -175,6 +177,8 @@ class Playground {
   #pushed(reconstruct = false): void {
     if (!this.#frame || !this.#contact) return;
     this.#showForce();
+    // A frame that was refused is not there to be pushed.
+    if (this.#unopened) return this.#open();
     const push = this.#push();
     this.#live.push(reconstruct ? { ...push, reconstruct } : push);
   }
@@ -182,6 +186,7 @@ class Playground {
   #open(): void {
     const frame = this.#frame;
     if (!frame || !this.#contact) return;
+    this.#unopened = false;
     const camera = { ...frame.camera, width: frame.width, height: frame.height };
     this.#live.open({ camera, encoding: frame.encoding, depth: frame.bytes, push: this.#push() });
   }
@@ -215,6 +220,7 @@ class Playground {
   }
 
   #refused(problem: Problem): void {
+    this.#unopened = this.#body === null;
     this.#readout.problem(problem);
   }
 
