@@ -36,6 +36,7 @@ export class Stage {
   #last = 0;
   #slowness = 0;
   #settle = 0;
+  #size = "";
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     this.#renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true, powerPreference: "high-performance" });
@@ -136,10 +137,14 @@ export class Stage {
   #draw(ratio: number): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (width === 0 || height === 0) return;
-    this.#renderer.setPixelRatio(Math.min(devicePixelRatio, 2) * ratio);
-    this.#renderer.setSize(width, height, false);
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    const size = [width, height, Math.min(devicePixelRatio, 2) * ratio].join();
+    if (size !== this.#size) {
+      // Only then: it lays out the buffers anew.
+      this.#size = size;
+      this.#renderer.setDrawingBufferSize(width, height, Math.min(devicePixelRatio, 2) * ratio);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+    }
     this.#renderer.render(this.scene, this.camera);
     this.drawn++;
     this.onDrawn();

@@ -1,7 +1,7 @@
 /** The 3D view: what was measured, the body at rest and the body under the push. */
 
 import {
-  BufferAttribute, BufferGeometry, Color, DoubleSide, Mesh, MeshLambertMaterial, Points, PointsMaterial, Raycaster,
+  BufferAttribute, BufferGeometry, Color, DoubleSide, DynamicDrawUsage, Mesh, MeshLambertMaterial, Points, PointsMaterial, Raycaster,
   ShaderMaterial, Vector2, Vector3,
 } from "three"; // prettier-ignore
 import { Arrow } from "./arrow";
@@ -201,11 +201,14 @@ function fill(geometry: BufferGeometry, skin: Skin): void {
     places[at + 1] = skin.positions[at + 1]! / GRID - 0.5;
     places[at + 2] = skin.positions[at + 2]! / GRID;
   }
-  // The old buffers are freed; a changed count would need new ones anyway.
-  geometry.dispose();
-  geometry.setAttribute("position", new BufferAttribute(places, 3));
-  geometry.setAttribute("normal", new BufferAttribute(skin.normals, 3));
-  geometry.setIndex(new BufferAttribute(skin.triangles, 1));
+  if (geometry.index?.array !== skin.triangles) {
+    // Another mesh: the old buffers are freed.
+    geometry.dispose();
+    geometry.setIndex(new BufferAttribute(skin.triangles, 1));
+    for (const name of ["position", "normal", "color"]) geometry.deleteAttribute(name);
+  }
+  put(geometry, "position", places);
+  put(geometry, "normal", skin.normals);
   geometry.boundingSphere = null;
 }
 
@@ -218,7 +221,18 @@ function paint(geometry: BufferGeometry, values: Float32Array | null, scaleM: nu
       colours[3 * i + c] = values ? LINEAR[ramp[entry + c]!]! : c === 0 ? plain.r : c === 1 ? plain.g : plain.b;
     }
   }
-  geometry.setAttribute("color", new BufferAttribute(colours, 3));
+  put(geometry, "color", colours);
+}
+
+/** New values in the buffer there is, or in a new one. */
+function put(geometry: BufferGeometry, name: string, values: Float32Array): void {
+  const kept = geometry.getAttribute(name) as BufferAttribute | undefined;
+  if (kept?.array.length === values.length) {
+    kept.copyArray(values);
+    kept.needsUpdate = true;
+  } else {
+    geometry.setAttribute(name, new BufferAttribute(values, 3).setUsage(DynamicDrawUsage));
+  }
 }
 
 /** sRGB bytes to linear light. */
