@@ -50,6 +50,7 @@ def parser() -> argparse.ArgumentParser:
     whole = argparse.ArgumentParser(
         prog="physnet", description="From one depth frame to the shape an object takes under a push.", epilog=EPILOG
     )
+    whole.add_argument("--version", action=_Version, nargs=0, help="say which version this is, and leave")
     commands = whole.add_subparsers(required=True, metavar="COMMAND", title="commands")
     # Each imports what it needs when it runs: `physnet materials` loads neither ONNX Runtime nor a web server.
     add_serve(commands)
@@ -61,6 +62,19 @@ def parser() -> argparse.ArgumentParser:
     add_doctor(commands)
     add_completion(commands, whole)
     return whole
+
+
+class _Version(argparse.Action):
+    """Looks the version up only when it is asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> None:
+        from importlib import metadata
+
+        try:
+            print(f"physnet {metadata.version('physnet')}")
+        except metadata.PackageNotFoundError:
+            print("physnet, not installed: run from its sources")
+        parser.exit()
 
 
 def _fail(message: str, code: int) -> int:

@@ -31,8 +31,15 @@ def test_no_command_is_wrong_usage(capsys):
     assert "COMMAND" in capsys.readouterr().err
 
 
+def test_the_version(capsys):
+    with pytest.raises(SystemExit) as caught:
+        main(["--version"])
+    assert caught.value.code == OK
+    assert capsys.readouterr().out.startswith("physnet")
+
+
 def test_every_command_tells_its_exit_codes(capsys):
-    commands = ("serve", "predict", "materials", "models", "doctor", "completion")
+    commands = ("serve", "predict", "replay", "bench", "materials", "models", "doctor", "completion")
     listing = parser().format_help()
     for command in commands:
         assert command in listing
