@@ -11,10 +11,10 @@ from jaxtyping import Float32
 from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX, Condition
 from service.core.prior_corotational import CorotationalSolver
-from service.core.prior_field import backward_field
+from service.core.prior_field import backward_fields
 from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
-from service.core.prior_load import nodal_force
+from service.core.prior_load import Surface, nodal_forces
 
 CELLS = 125
 """Cells laid over the bounding box of a body."""
@@ -51,18 +51,18 @@ class ElasticPrior:
 
     Raises:
         ValueError: The body is empty.
-        np.linalg.LinAlgError: The stiffness matrix could not be factorised.
+        np.linalg.LinAlgError: The stiffness matrix could not be factorised, not even made a little stiffer. No
+            occupancy is known to do this.
     """
 
     def __init__(self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS) -> None:
-        self.occupancy = occupancy
         self.grid = CellGrid.fit(occupancy, cells)
+        self.surface = Surface.of(self.grid, occupancy)
         self.solver = CorotationalSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
 
     def forces(self, conditions: Sequence[Condition]) -> Float32[np.ndarray, "3 loads n"]:
-        """Nodal forces of loads, see `prior_load.nodal_force`."""
-        forces = [nodal_force(self.grid, self.occupancy, condition).T for condition in conditions]
-        return np.stack(forces, axis=1).astype(np.float32)
+        """Nodal forces of loads, see `prior_load.nodal_forces`."""
+        return nodal_forces(self.grid, self.surface, conditions)
 
     def displacements(self, conditions: Sequence[Condition], steps: int = STEPS) -> PriorSolution:
         """Solve for loads, all at once.
@@ -73,6 +73,6 @@ class ElasticPrior:
         """
         nodal = self.solver.solve(self.forces(conditions), steps)
         gradient = self.solver.deformation_gradient(nodal)
-        fields = [backward_field(self.grid, nodal[:, i], gradient[:, :, i]) for i in range(len(conditions))]
+        backward = backward_fields(self.grid, nodal, gradient)
         forward = forward_lattice(self.grid, nodal)
-        return PriorSolution(np.ascontiguousarray(nodal.transpose(1, 0, 2)), np.stack(fields), forward)
+        return PriorSolution(np.ascontiguousarray(nodal.transpose(1, 0, 2)), backward, forward)

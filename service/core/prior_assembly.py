@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
 from service.core.prior_factor import BlockTridiagonal
 from service.core.prior_grid import CORNERS, CellGrid
+
+_SHIFTS = (0.0, 1e-5, 1e-3, 1e-2)
+"""Relative additions to the diagonal until there is a factor: a sheet one voxel thick is too slender for single
+precision, and is held a little stiffer than it is."""
 
 
 class RestFactor:
@@ -19,6 +25,9 @@ class RestFactor:
         grid: Cells of the body.
         stiffness: Of every cell, local degree of freedom 3·node + axis.
         floor_stiffness: Of the bed under every floor cell, the same along each axis.
+
+    Raises:
+        np.linalg.LinAlgError: The matrix is far from positive definite.
     """
 
     def __init__(
@@ -26,11 +35,13 @@ class RestFactor:
     ) -> None:
         counts = [np.bincount(grid.nodes[:, axis]) for axis in range(3)]
         axis = int(np.argmin([float((count.astype(float) ** 3).sum()) for count in counts]))
-        plane = grid.nodes[:, axis]
-        self.order: Int[np.ndarray, " n"] = np.argsort(plane, kind="stable")
-        count = counts[axis]
+        # planes without nodes, beside the body or between its feet, are left out
+        plane = (np.cumsum(counts[axis] > 0) - 1)[grid.nodes[:, axis]]
+        self._order: Int[np.ndarray, " n"] = np.argsort(plane, kind="stable")
+        count = counts[axis][counts[axis] > 0]
         place = np.empty(len(plane), np.int64)
-        place[self.order] = np.arange(len(plane))
+        place[self._order] = np.arange(len(plane))
+        self._place = place.copy()
         place -= (np.cumsum(count) - count)[plane]
         width = 3 * count
         diagonal_ends = np.cumsum(width * width)
@@ -59,12 +70,24 @@ class RestFactor:
             flat[start : start + n * m].reshape(n, m)
             for start, n, m in zip(below_start, width[1:], width[:-1], strict=True)
         ]
-        self._factor = BlockTridiagonal(diagonal, below)
+        self._factor = _factorised(diagonal, below)
 
-    def solve(self, force: Float32[np.ndarray, "3 loads n"]) -> Float32[np.ndarray, "3 loads n"]:
+    def solve(self, force: Float32[np.ndarray, "3 n loads"]) -> Float32[np.ndarray, "3 n loads"]:
         """Displacements of the nodes by linear elasticity."""
-        _, loads, n = force.shape
-        right = force[:, :, self.order].transpose(2, 0, 1).reshape(3 * n, loads)
-        result = np.empty_like(force)
-        result[:, :, self.order] = self._factor.solve(right).reshape(n, 3, loads).transpose(1, 2, 0)
-        return result
+        _, n, loads = force.shape
+        right = np.take(force.swapaxes(0, 1), self._order, axis=0).reshape(3 * n, loads)
+        solution = self._factor.solve(right).reshape(n, 3, loads)
+        return np.ascontiguousarray(np.take(solution, self._place, axis=0).swapaxes(0, 1))
+
+
+def _factorised(
+    diagonal: Sequence[Float32[np.ndarray, "_ _"]], below: Sequence[Float32[np.ndarray, "_ _"]]
+) -> BlockTridiagonal:
+    for shift in _SHIFTS:
+        for block in diagonal if shift else ():
+            block[np.diag_indices(len(block))] *= np.float32(1.0 + shift)
+        try:
+            return BlockTridiagonal(diagonal, below)
+        except np.linalg.LinAlgError:
+            continue
+    raise np.linalg.LinAlgError("the stiffness matrix is not positive definite, nor stiffened by a hundredth")

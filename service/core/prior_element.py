@@ -24,7 +24,7 @@ _FACTORS = np.where(CORNERS == 1, POINTS_27[:, None, :], 1.0 - POINTS_27[:, None
 _GRADIENTS = np.stack(
     [_SIGNS[:, axis] * np.delete(_FACTORS, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2
 )  # (27, 8, 3), of the unit cell
-_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij"), -1).reshape(-1, 3))
+_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij")).reshape(3, -1)).T
 _FLOOR_PAIRS = (_FLOOR_SHAPE[:, :, None] * _FLOOR_SHAPE[:, None, :]).reshape(9, 64)
 
 

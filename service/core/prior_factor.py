@@ -24,29 +24,34 @@ class BlockTridiagonal:
     section 4.5.1.
 
     Raises:
-        np.linalg.LinAlgError: A pivot block is not positive definite.
+        np.linalg.LinAlgError: A pivot block is not positive definite, or not in single precision.
     """
 
     def __init__(
         self, diagonal: Sequence[Float32[np.ndarray, "_ _"]], below: Sequence[Float32[np.ndarray, "_ _"]]
     ) -> None:
-        self._inverses = [invert_spd(diagonal[0])]
-        self._transfers: list[Float32[np.ndarray, "_ _"]] = []
+        inverse = invert_spd(diagonal[0])
+        self._forward: list[Float32[np.ndarray, "_ _"]] = []  # T_k
+        self._backward: list[Float32[np.ndarray, "_ _"]] = []  # S_k⁻¹ beside −T_kᵀ
         for block, coupling in zip(diagonal[1:], below, strict=True):
-            transfer = coupling @ self._inverses[-1]
-            self._transfers.append(transfer)
-            self._inverses.append(invert_spd(block - transfer @ coupling.T))
-        self._ends = np.cumsum([len(block) for block in diagonal])[:-1]
+            transfer = coupling @ inverse
+            self._forward.append(transfer)
+            self._backward.append(np.concatenate([inverse, -transfer.T], axis=1))
+            inverse = invert_spd(block - transfer @ coupling.T)
+        if not np.isfinite(inverse).all():
+            raise np.linalg.LinAlgError("the stiffness matrix is too close to a singular one for single precision")
+        self._last = inverse
+        self._starts = [0, *np.cumsum([len(block) for block in diagonal]).tolist()]
 
     def solve(self, right: Float32[np.ndarray, "dof loads"]) -> Float32[np.ndarray, "dof loads"]:
         """Solutions for any number of right-hand sides."""
-        parts: list[Float32[np.ndarray, "_ loads"]] = list(np.split(right, self._ends))
-        for k, transfer in enumerate(self._transfers):
-            parts[k + 1] = parts[k + 1] - transfer @ parts[k]
-        parts[-1] = self._inverses[-1] @ parts[-1]
-        for k in range(len(parts) - 2, -1, -1):
-            parts[k] = self._inverses[k] @ parts[k] - self._transfers[k].T @ parts[k + 1]
-        return np.concatenate(parts)
+        result, starts = right.copy(), self._starts
+        for k, transfer in enumerate(self._forward):
+            result[starts[k + 1] : starts[k + 2]] -= transfer @ result[starts[k] : starts[k + 1]]
+        result[starts[-2] :] = self._last @ result[starts[-2] :]
+        for k in range(len(self._backward) - 1, -1, -1):
+            result[starts[k] : starts[k + 1]] = self._backward[k] @ result[starts[k] : starts[k + 2]]
+        return result
 
 
 def invert_spd(matrix: Float32[np.ndarray, "n n"]) -> Float32[np.ndarray, "n n"]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int
+from jaxtyping import Bool, Float, Float32, Float64, Int
 
 from service.core.arrays import GRID_SIZE, Occupancy
 
@@ -83,6 +83,9 @@ class CellGrid:
         solid = weights.sum(axis=0) >= MIN_FILL
         solid[:, :, 0] |= floor.sum(axis=0) >= MIN_FILL
         kept = _standing(solid)
+        if not kept.any():  # a body that touches the floor with a few voxels only
+            solid[:, :, 0] |= floor.sum(axis=0) > 1e-6
+            kept = _standing(solid)
         active = np.argwhere(kept)
         floor_cells = np.flatnonzero(active[:, 2] == 0)
         used = np.zeros((nx + 1, ny + 1, nz + 1), bool)
@@ -104,49 +107,55 @@ class CellGrid:
         )  # fmt: skip
 
     @property
+    def voxel_bounds(self) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
+        """First voxel of the box along each axis, and one past its last."""
+        high = self.low + self.edges * self.shape
+        return np.rint(self.low * GRID_SIZE).astype(int), np.rint(high * GRID_SIZE).astype(int)
+
+    @property
     def node_positions(self) -> Float64[np.ndarray, "n 3"]:
         """Rest position of every node."""
         return np.asarray(self.low + self.nodes * self.edges)
 
-    def locate(self, points: Float64[np.ndarray, "k 3"]) -> tuple[Int[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-        """Cell of each point, −1 where none is kept, and its local coordinates in [0, 1]³ inside the box."""
-        scaled = (points - self.low) / self.edges
-        index = np.clip(np.floor(scaled).astype(np.int64), 0, np.array(self.shape) - 1)
-        return self._cell_of_box[index[:, 0], index[:, 1], index[:, 2]], scaled - index
-
-    def spread(
-        self, points: Float64[np.ndarray, "k 3"], weights: Float64[np.ndarray, " k"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Work-equivalent nodal sums of weights at points.
+    def interpolation(self, points: Float32[np.ndarray, "3 k"]) -> Float32[np.ndarray, "k n"]:
+        """The table that takes nodal values to points; its transpose takes forces at points to nodal forces.
 
         A point outside the kept cells belongs to the nearest one; where several are equally near, as in symmetric
         bodies, to each a part, or rounding would decide.
         """
-        cell, local = self.locate(points)
+        place = (points - self.low.astype(np.float32)[:, None]) / self.edges.astype(np.float32)[:, None]
+        index = np.minimum(place.astype(np.int64), np.array(self.shape)[:, None] - 1)
+        np.maximum(index, 0, out=index)
+        cell = self._cell_of_box[index[0], index[1], index[2]]
+        row, part = np.arange(len(cell)), np.float32(1.0)
         stray = np.flatnonzero(cell < 0)
         if len(stray):
-            place = (points[stray] - self.low) / self.edges
-            squared = ((self.cells + 0.5 - place[:, None]) ** 2).sum(axis=2)
-            row, nearest = np.nonzero(squared < squared.min(axis=1, keepdims=True) + 1e-6)
-            kept = cell >= 0
+            squared = ((self.cells.T[:, None] + 0.5 - place[:, stray, None]) ** 2).sum(axis=0)
+            which, nearest = np.nonzero(squared < squared.min(axis=1, keepdims=True) + 1e-5)
+            kept = np.flatnonzero(cell >= 0)
+            row = np.concatenate([kept, stray[which]])
             cell = np.concatenate([cell[kept], nearest])
-            local = np.concatenate([local[kept], place[row] - self.cells[nearest]])
-            weights = np.concatenate([weights[kept], weights[stray[row]] / np.bincount(row)[row]])
-        shape = shape_functions(np.clip(local, 0.0, 1.0))
-        sums = np.bincount(
-            self.cell_nodes[cell].ravel(), weights=(shape * weights[:, None]).ravel(), minlength=len(self.nodes)
-        )
-        return np.asarray(sums)
+            part = (1.0 / np.bincount(row)[row]).astype(np.float32)
+        local = np.clip(place[:, row] - self.cells.T[:, cell], 0.0, 1.0).astype(np.float32)
+        n = len(self.nodes)
+        entries = self.cell_nodes.T[:, cell] + row * n
+        shape = shape_functions(local) * part
+        if len(row) > points.shape[1]:  # several cells of a point may share a node
+            sums = np.bincount(entries.ravel(), shape.ravel(), points.shape[1] * n)
+            return sums.reshape(-1, n).astype(np.float32)
+        table = np.zeros((points.shape[1], n), np.float32)
+        table.ravel()[entries] = shape
+        return table
 
 
-def shape_functions(local: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 8"]:
+def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]:
     """Trilinear shape functions at local coordinates in [0, 1]³.
 
     Source: Hughes, The Finite Element Method (2000), eq. 3.5.2.
     """
-    both = np.stack([1.0 - local, local], axis=1)
-    product = both[:, :, None, None, 0] * both[:, None, :, None, 1] * both[:, None, None, :, 2]
-    return np.asarray(product.reshape(len(local), 8))
+    both = np.stack([1.0 - local, local])
+    product = both[:, None, None, 0] * both[None, :, None, 1] * both[None, None, :, 2]
+    return np.asarray(product.reshape(8, -1))
 
 
 def _bounds(occupancy: Occupancy) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:

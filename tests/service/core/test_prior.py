@@ -125,11 +125,72 @@ def test_islands_are_left_out_and_a_load_on_one_pushes_the_body() -> None:
     assert np.abs(solution.nodal).max() < 0.05
 
 
-def test_a_single_voxel_has_an_answer() -> None:
+def odd_bodies() -> dict[str, np.ndarray]:
+    index = np.indices((64, 64, 64))
+    diagonal = np.arange(64)
+    bodies = {name: np.zeros((64, 64, 64), bool) for name in ("voxel", "sheet", "plate", "two voxels", "diagonal")}
+    bodies["voxel"][10, 10, 0] = True
+    bodies["sheet"][20] = True  # too slender for single precision
+    bodies["plate"][:, :, 30] = True
+    bodies["two voxels"][[5, 60], [60, 5], [40, 3]] = True
+    bodies["diagonal"][diagonal, diagonal, diagonal] = True  # its lowest cell holds next to nothing
+    bodies["cube"] = np.ones((64, 64, 64), bool)
+    bodies["dust"] = np.random.default_rng(0).random((64, 64, 64)) < 1e-3
+    bodies["noise"] = np.random.default_rng(1).random((64, 64, 64)) < 0.3
+    bodies["shell"] = np.abs(np.sqrt(((index - 31.5) ** 2).sum(axis=0)) - 25.0) < 0.6
+    bodies["hovering"] = bodies["cube"] & (index[2] > 50)
+    bodies["feet"] = (index[2] < 8) & (np.abs(index[0] - 31.5) > 26)  # planes between them have no nodes
+    return bodies
+
+
+@pytest.mark.parametrize("name", odd_bodies())
+def test_any_body_has_a_finite_answer_of_bounded_size_to_any_load(name: str) -> None:
+    rest = odd_bodies()[name]
+    contact = (np.argwhere(rest)[rest.sum() // 2] + 0.5) / 64
+    loads = [push(tuple(contact), (0.6, 0.0, -0.8), load) for load in (1e-8, 1e-3, 1e3)]
+    loads.append(push((-2.0, 5.0, 0.5), (0.0, 1.0, 0.0), 1e-3))
+    solution = ElasticPrior(rest, 0.49).displacements(loads)
+    for field in (solution.nodal, solution.backward, solution.forward):
+        assert np.isfinite(field).all()
+    assert np.abs(solution.nodal).max() <= 2.001
+
+
+SYMMETRIES = ("x", "y", "swap", "turn")
+
+
+@pytest.mark.parametrize("symmetry", SYMMETRIES)
+def test_solutions_have_the_symmetries_of_the_square(symmetry: str) -> None:
+    """Training augments with them; two of these make all eight."""
     rest = np.zeros((64, 64, 64), bool)
-    rest[10, 10, 0] = True
-    solution = ElasticPrior(rest, 0.49).displacements([push((0.16, 0.16, 0.01), (0.0, 0.0, -1.0), 1e-6)])
-    assert np.isfinite(solution.backward).all()
+    rest[14:30, 10:50, :44] = True
+    rest[14:52, 10:22, 30:44] = True  # no symmetry of its own
+    load = push((52 / 64, 0.25, 0.58), (0.48, 0.6, -0.64), 2e-3)
+
+    def image(body: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        condition = condition.copy()
+        if symmetry in ("swap", "turn"):
+            body, condition = body.transpose(1, 0, 2), condition[[1, 0, 2, 4, 3, 5, 6, 7, 8]]
+        if symmetry in ("x", "y", "turn"):
+            axis = int(symmetry == "y")
+            body = np.flip(body, axis)
+            condition[axis], condition[3 + axis] = 1.0 - condition[axis], -condition[3 + axis]
+        return np.ascontiguousarray(body), condition
+
+    def image_of_field(field: np.ndarray) -> np.ndarray:
+        if symmetry in ("swap", "turn"):
+            field = field[[1, 0, 2]].transpose(0, 2, 1, 3)
+        if symmetry in ("x", "y", "turn"):
+            axis = int(symmetry == "y")
+            field = np.flip(field, 1 + axis).copy()
+            field[axis] *= -1.0
+        return field
+
+    field = ElasticPrior(rest, 0.3).displacements([load]).backward[0]
+    other, its_load = image(rest, load)
+    its_field = ElasticPrior(other, 0.3).displacements([its_load]).backward[0]
+    peak = np.abs(field).max()
+    assert peak > 0.1
+    np.testing.assert_allclose(its_field, image_of_field(field), atol=1e-3 * peak)
 
 
 def test_an_empty_body_is_refused() -> None:

@@ -58,11 +58,11 @@ def test_block_tridiagonal_solutions_are_those_of_the_dense_matrix() -> None:
 def test_the_factor_of_a_body_solves_its_dense_equations(axes: tuple[int, int, int]) -> None:
     grid = CellGrid.fit(np.ascontiguousarray(some_body().transpose(axes)), 80)
     stiffness, floor = cell_stiffness(grid, 0.4), floor_stiffness(grid)
-    force = np.random.default_rng(1).normal(size=(3, 2, len(grid.nodes))).astype(np.float32)
+    force = np.random.default_rng(1).normal(size=(3, len(grid.nodes), 2)).astype(np.float32)
     solution = RestFactor(grid, stiffness, floor).solve(force)
-    right = force.transpose(2, 0, 1).reshape(-1, 2)
+    right = force.transpose(1, 0, 2).reshape(-1, 2)
     expected = np.linalg.solve(dense(grid, stiffness.astype(float), floor), right)
-    expected = expected.reshape(-1, 3, 2).transpose(1, 2, 0)
+    expected = expected.reshape(-1, 3, 2).transpose(1, 0, 2)
     np.testing.assert_allclose(solution, expected, atol=3e-3 * np.abs(expected).max())
 
 
@@ -97,7 +97,7 @@ def test_one_full_cell_in_pure_bending_has_the_energy_of_a_beam() -> None:
 
 
 def test_shape_functions_sum_to_one_and_reproduce_positions() -> None:
-    shape = shape_functions(POINTS_27)
+    shape = shape_functions(POINTS_27.T).T
     corners = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
     np.testing.assert_allclose(shape.sum(axis=1), 1.0)
     np.testing.assert_allclose(shape @ corners, POINTS_27, atol=1e-12)
