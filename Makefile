@@ -51,6 +51,10 @@ docs: $(FULL)/.installed ## Build the documentation into build/site, warnings ar
 figures: $(FULL)/.installed ## Draw the pictures of docs/pipeline again: after new models or changed stages
 	"$(FULL_PYTHON)" docs/figures/pipeline.py
 
+web: ## Build the playground from web/ into service/web (needs Node 20.19 or newer)
+	$(call say,web: npm ci and build)
+	cd web && npm ci --no-audit --no-fund && npm run build
+
 ##@ Check
 
 test: lint types imports docs test-base test-training ## Everything: lint, types, import directions, both test suites
@@ -138,4 +142,4 @@ $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 	@touch "$@"
 
 .NOTPARALLEL:
-.PHONY: demo docs figures serve train test lint types imports test-base test-training format proto proto-lint environments wheel clean help
+.PHONY: web demo docs figures serve train test lint types imports test-base test-training format proto proto-lint environments wheel clean help
