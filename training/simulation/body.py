@@ -275,8 +275,11 @@ class _Hold:
             raise self.error("too little of the shape does to keep it from turning")
         shape = shape_functions(local[good])
         touched, group = np.unique(cell[good], return_inverse=True)
-        blocks = np.zeros((len(touched), 8, 8))
-        np.add.at(blocks, group, self.bed.stiffness[good, None, None] * shape[:, :, None] * shape[:, None, :])
+        # the sum over points of stiffness times the product of two shape functions, as one product for each cell pair
+        pairs = (shape[:, :, None] * shape[:, None, :]).reshape(-1, 64) * self.bed.stiffness[good, None]
+        size = (len(touched), len(group))
+        summed = sp.csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=size) @ pairs
+        blocks = np.asarray(summed).reshape(-1, 8, 8)
         row = np.repeat(cell_nodes[touched], 8, axis=1).ravel()
         column = np.tile(cell_nodes[touched], (1, 8)).ravel()
         return sp.coo_array((blocks.ravel(), (row, column)), shape=(nodes, nodes)).tocsr()

@@ -12,6 +12,8 @@ from training.simulation.overlap import RestOverlap
 
 _STEPS = 12
 _TOLERANCE = 0.01
+_POWERS = (0.3, 2.0)
+"""Range of the power of the force that two looks may tell."""
 _MAX_STRETCH = 0.6
 """Largest displacement in units of L that the search will try; beyond it a body has left the cube."""
 
@@ -38,8 +40,9 @@ def force_for_identity_iou(
     along = overlap.along(displacement)
     limit = _MAX_STRETCH / peak
     low, high = 0.0, np.inf
-    # 1/IoU − 1 grows almost linearly with the force: scale by it, and bisect when that leaves the bracket
-    wanted = 1.0 / target - 1.0
+    # 1/IoU − 1 grows with a power of the force close to one, which two looks tell: bisect when that leaves the bracket
+    wanted = np.log(1.0 / target - 1.0)
+    power, before = 1.0, None
     factor = 0.1 / peak
     for _ in range(_STEPS):
         seen = along.iou(factor)
@@ -53,7 +56,11 @@ def force_for_identity_iou(
             high = factor
         if high - low < 1e-3 * high:
             break
-        factor *= wanted / max(1.0 / max(seen, 1e-3) - 1.0, 1e-3)
+        now = (np.log(factor), np.log(max(1.0 / max(seen, 1e-3) - 1.0, 1e-3)))
+        if before is not None and now[0] != before[0]:
+            power = float(np.clip((now[1] - before[1]) / (now[0] - before[0]), *_POWERS))
+        before = now
+        factor *= float(np.exp((wanted - now[1]) / power))
         # where the target seems out of reach, one look at the limit decides
         factor = min(factor, limit)
         if not low < factor < high:

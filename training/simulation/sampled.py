@@ -130,16 +130,16 @@ def interpolated(polynomial: Float32[np.ndarray, "k 27"], row: int, x: float, y:
     Source: Hughes, The Finite Element Method (2000), section 3.6, Lagrange elements.
     """
     # in single precision, as the values are: no conversions
-    x, y, z = np.float32(x), np.float32(y), np.float32(z)
+    u, v, w = np.float32(x), np.float32(y), np.float32(z)
     value = np.float32(0.0)
     for a in range(2, -1, -1):
         line = np.float32(0.0)
         for b in range(2, -1, -1):
             # whole indices, no views: a view would count its references, which takes longer than the sum
             n = 9 * a + 3 * b
-            line = line * y + (polynomial[row, n] + z * (polynomial[row, n + 1] + z * polynomial[row, n + 2]))
-        value = value * x + line
-    return value
+            line = line * v + (polynomial[row, n] + w * (polynomial[row, n + 1] + w * polynomial[row, n + 2]))
+        value = value * u + line
+    return float(value)
 
 
 @compiled
