@@ -1,4 +1,4 @@
-"""The bare time of what the pipeline cannot do without: its networks, and the physics prior where one is served."""
+"""The bare time of what the pipeline cannot do without: its networks, and the prior that the second starts from."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import numpy as np
 
 from service.api import convert
 from service.bench.question import BenchQuestion
-from service.core import prior
 from service.inference.registry import load_models
 from service.pipeline import Pipeline
 from service.settings import Settings
@@ -38,7 +37,7 @@ class BareGraphs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """`reconstruction`, `deformation`, and `prior` where one is computed."""
+        """`reconstruction`, `deformation`, `prior`."""
         return tuple(self._calls)
 
     def time_ms(self, name: str) -> float:
@@ -79,21 +78,17 @@ def _recorded(models: Any, calls: dict[str, list[Callable[[], object]]]) -> Iter
     networks = (models.reconstruction, models.deformation)
     for network in networks:
         network._session = _Recorder(network._session, calls.setdefault(network.manifest.kind, []))
-    solve = prior.ElasticPrior.displacements
+    deformation = models.deformation
+    solve = deformation.prior
 
-    def recorded(self: prior.ElasticPrior, conditions: Any, *more: Any, **named: Any) -> Any:
-        body, poisson_ratio = self.occupancy, float(conditions[0][7])
+    def recorded(*asked: Any) -> Any:
+        calls.setdefault("prior", []).append(lambda: solve(*asked))
+        return solve(*asked)
 
-        def again() -> object:
-            return solve(prior.ElasticPrior(body, poisson_ratio), conditions, *more, **named)
-
-        calls.setdefault("prior", []).append(again)
-        return solve(self, conditions, *more, **named)
-
-    prior.ElasticPrior.displacements = recorded  # type: ignore[method-assign]
+    deformation.prior = recorded
     try:
         yield
     finally:
-        prior.ElasticPrior.displacements = solve  # type: ignore[method-assign]
+        del deformation.prior
         for network in networks:
             network._session = network._session._session

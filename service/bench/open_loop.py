@@ -94,7 +94,11 @@ async def open_loop(targets: Sequence[Target], rate_hz: float, duration_s: float
 
     async def ask(client: int, when: float) -> None:
         sent = time.perf_counter()
-        measured.count(client, when, began, sent, await targets[client].ask())
+        try:
+            reply = await targets[client].ask()
+        except Exception as error:  # every question is counted, whatever a library makes of it
+            reply = Reply(type(error).__name__, time.perf_counter())
+        measured.count(client, when, began, sent, reply)
 
     threading.Thread(target=pace, name="pace", daemon=True).start()
     asking: set[asyncio.Task[None]] = set()

@@ -79,6 +79,8 @@ class GrpcStream:
         self._question = question.message
         self._next_id = 0
         self._waiting: dict[int, asyncio.Future[Reply]] = {}
+        # A call takes one write at a time.
+        self._writing = asyncio.Lock()
 
     async def open(self) -> None:
         self._channel = grpc.aio.insecure_channel(self._address, options=LIMITS)
@@ -88,13 +90,15 @@ class GrpcStream:
         self._reading = asyncio.create_task(self._read())
 
     async def ask(self) -> Reply:
-        frame_id, self._next_id = self._next_id, self._next_id + 1
         reply: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
-        self._waiting[frame_id] = reply
-        if self._reading.done():
-            self._lost("closed")
-        else:
-            await self._call.write(pb.DeformStreamRequest(frame_id=frame_id, request=self._question))
+        async with self._writing:
+            frame_id, self._next_id = self._next_id, self._next_id + 1
+            self._waiting[frame_id] = reply
+            try:
+                await self._call.write(pb.DeformStreamRequest(frame_id=frame_id, request=self._question))
+            except (grpc.aio.AioRpcError, asyncio.InvalidStateError):
+                # The stream has ended, and with it every frame on it; the reader may have told them already.
+                self._lost("closed")
         return await reply
 
     async def _read(self) -> None:
@@ -106,7 +110,8 @@ class GrpcStream:
                     reply = Reply(OK, finished, dict(response.answer.timing_ms))
                 else:
                     reply = Reply(SKIPPED if outcome == "skipped" else response.problem.code, finished)
-                self._waiting.pop(response.frame_id).set_result(reply)
+                if (waiting := self._waiting.pop(response.frame_id, None)) is not None:
+                    waiting.set_result(reply)
             self._lost("closed")
         except grpc.aio.AioRpcError as error:
             self._lost(error.code().name.lower())
@@ -114,7 +119,8 @@ class GrpcStream:
     def _lost(self, code: str) -> None:
         while self._waiting:
             _, reply = self._waiting.popitem()
-            reply.set_result(Reply(code, time.perf_counter()))
+            if not reply.done():
+                reply.set_result(Reply(code, time.perf_counter()))
 
     async def close(self) -> None:
         await self._call.done_writing()
