@@ -77,8 +77,8 @@ class DepthView:
         first_pixel = tuple(
             first + self.stride * side.start for first, side in zip(self.first_pixel, window, strict=True)
         )
-        images = (np.ascontiguousarray(image[window]) for image in (self.z_m, self.ray_x, self.ray_y))
-        return DepthView(*images, (first_pixel[0], first_pixel[1]), self.stride)
+        z_m, ray_x, ray_y = (np.ascontiguousarray(image[window]) for image in (self.z_m, self.ray_x, self.ray_y))
+        return DepthView(z_m, ray_x, ray_y, (first_pixel[0], first_pixel[1]), self.stride)
 
     def crop(self, mask: Mask) -> Bool[np.ndarray, "rows columns"]:
         """The view's own pixels of a mask of the whole image."""
