@@ -157,7 +157,7 @@ def _turn(rotation: Matrices, vectors: Rows | Corners, transposed: bool = False)
     part = np.empty_like(result)
     for j in (1, 2):
         result += np.multiply(columns[j], vectors[j], out=part)
-    return result
+    return np.asarray(result)
 
 
 def _corners_of_node(corners: Int[np.ndarray, "8 m"], nodes: int) -> Int[np.ndarray, "most n"]:

@@ -155,7 +155,7 @@ def _times(slope: Float32[np.ndarray, "3 3 loads m"], vectors: OfPoints) -> OfPo
     result = slope[:, 0, :, None] * vectors[0]
     for j in (1, 2):
         result += slope[:, j, :, None] * vectors[j]
-    return result
+    return np.asarray(result)
 
 
 def _flat(index: Int[np.ndarray, "3 loads 27 m"], size: int) -> Int[np.ndarray, "loads 27 m"]:

@@ -127,7 +127,7 @@ class CellGrid:
         index = np.minimum(place.astype(np.int64), np.array(self.shape)[:, None] - 1)
         np.maximum(index, 0, out=index)
         cell = self._cell_of_box[index[0], index[1], index[2]]
-        row, part = np.arange(len(cell)), np.float32(1.0)
+        row, part = np.arange(len(cell)), np.ones(len(cell), np.float32)
         stray = np.flatnonzero(cell < 0)
         if len(stray):
             squared = ((self.cells.T[:, None] + 0.5 - place[:, stray, None]) ** 2).sum(axis=0)

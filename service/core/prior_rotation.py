@@ -45,7 +45,7 @@ class Cofactors:
         first = np.multiply(self.matrix[0], self.values[0], out=self._minor[0])
         determinant = first[0] + first[1]
         determinant += first[2]
-        return determinant
+        return np.asarray(determinant)
 
 
 def polar_rotation(gradient: Matrices, steps: int = 4) -> Matrices:
