@@ -136,7 +136,8 @@ SMALL_CRITIC = (16, 32, 64, 64)
 """Channels of a critic that costs about as much as a realtime generator."""
 
 REALTIME = FitDeformationConfig(
-    steps=2400, optimizer=OptimizerConfig(learning_rate=2e-3), validate_every=300, validation_samples=120
+    steps=1200, optimizer=OptimizerConfig(learning_rate=7e-4, weight_decay=1e-2), validate_every=300,
+    validation_samples=120, points=768,
 )
 
 DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {

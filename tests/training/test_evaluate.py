@@ -27,12 +27,12 @@ class Knowing(DeformationNetwork):
     """Answers with a share of the true shear."""
 
     def __init__(self, share: float) -> None:
-        super().__init__(tiny.DEFORMATION)
+        super().__init__(dataclasses.replace(tiny.DEFORMATION, prior=False))
         self.share = share
 
-    def forward(self, rest, condition, noise):
-        heights = (torch.arange(32) + 0.5) / 32
-        field = torch.zeros(len(condition), 3, 32, 32, 32)
+    def forward(self, rest, condition, noise, prior):
+        heights = (torch.arange(16) + 0.5) / 16
+        field = torch.zeros(len(condition), 3, 16, 16, 16)
         field[:, 0] = (self.share * tiny.SHEAR * 10.0 ** condition[:, 6])[:, None, None, None] * heights
         latent = torch.zeros(len(condition), 3)
         return field, latent, latent

@@ -19,7 +19,6 @@ from service.inference.session import open_session
 from tests.training import tiny
 from training import export
 from training.export import PARITY_TOLERANCE, ExportError, condition_range_of, export_model
-from training.networks.deformation import at_voxels
 
 RANGES = {field: (-1.0, 1.0) for field in CONDITION_FIELDS}
 FIGURES = {"split": "test", "samples": 4, "iou": 0.875}
@@ -74,13 +73,13 @@ def test_the_graph_answers_for_any_number_of_loads_as_torch_does(folders: dict[s
     network = tiny.deformation_network()
     rest = torch.from_numpy(tiny.box(2)).float()[None, None]
     for loads in (1, 2, 5):
-        condition, noise = tiny.conditions(loads), torch.ones(loads, 3)
+        condition, noise, prior = tiny.conditions(loads), torch.ones(loads, 3), tiny.priors(loads)
         with torch.no_grad():
-            expected = at_voxels(network(rest, condition, noise)[0], rest).numpy()
-        (displacement,) = session.run(
-            ["displacement"], {"rest": rest.numpy(), "condition": condition.numpy(), "noise": noise.numpy()}
-        )
-        np.testing.assert_allclose(displacement, expected, atol=1e-5)
+            expected = network(rest, condition, noise, prior)[0].numpy()
+        given = {"rest": rest, "condition": condition, "noise": noise, "prior": prior}
+        (correction,) = session.run(["correction"], {name: tensor.numpy() for name, tensor in given.items()})
+        assert np.abs(expected).max() > 1e-3
+        np.testing.assert_allclose(correction, expected, atol=1e-5)
 
 
 def test_the_graph_gives_probabilities_not_logits(folders: dict[str, tuple[Path, Manifest]]) -> None:

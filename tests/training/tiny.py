@@ -28,9 +28,7 @@ from training.simulation.rasterise import Rasterised
 # Tests share the machine with whatever else runs on it.
 torch.set_num_threads(1)
 
-DEFORMATION = DeformationConfig(
-    encoder_channels=(4, 4, 4), generator_channels=(4, 4, 4), generator_blocks=(1, 1, 1), latent=3, condition=8
-)
+DEFORMATION = DeformationConfig(channels=(4, 4), blocks=(1, 1), latent=3, condition=8)
 RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4, 4), blocks=(0, 1, 0, 0))
 OPTIMIZER = OptimizerConfig(warm_up=2)
 FIT_DEFORMATION = FitDeformationConfig(
@@ -125,12 +123,16 @@ def write_views(root: Path) -> Path:
 
 
 def deformation_network(seed: int = 0) -> DeformationNetwork:
-    """Random weights, with running statistics of a few passes, ready to answer."""
+    """Random weights, those of the silent last layers too, with running statistics of a few passes, ready to answer."""
     torch.manual_seed(seed)
     network = DeformationNetwork(DEFORMATION)
+    for layer in (network.generator.head, network.generator.whole[-1]):
+        torch.nn.init.normal_(layer.weight, std=0.3)
+        torch.nn.init.normal_(layer.bias, std=0.3)
     with torch.no_grad():
         for _ in range(3):
-            network(torch.rand(2, 1, 64, 64, 64).round(), conditions(2), torch.randn(2, DEFORMATION.latent))
+            noise = torch.randn(2, DEFORMATION.latent)
+            network(torch.rand(2, 1, 64, 64, 64).round(), conditions(2), noise, priors(2))
     return network.eval()
 
 
@@ -147,6 +149,14 @@ def conditions(count: int, log_load: float = -2.5) -> torch.Tensor:
     """Pushes along x on different places, all else equal."""
     rows = [[0.3 + 0.4 * i / max(count - 1, 1), 0.5, 0.4, 1.0, 0.0, 0.0, log_load, 0.3, 0.1] for i in range(count)]
     return torch.tensor(rows)
+
+
+def priors(count: int) -> torch.Tensor:
+    """Coarse solves that bend what stands on the floor along x, each farther than the one before."""
+    height = (torch.arange(16) + 0.5) / 16
+    field = torch.zeros(count, 3, 16, 16, 16)
+    field[:, 0] = 0.05 * height**2 * torch.arange(1, count + 1)[:, None, None, None]
+    return field
 
 
 DATASET = {

@@ -38,6 +38,9 @@ CLAMP_HEIGHT = 4.0 / 64.0
 """The body is clamped on the floor: the correction is scaled by tanh(z / this), in edges of the grid."""
 
 CONDITION_SIZE = 9
+ANY_LOAD = (0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.25, 0.1)
+"""What a network that is not to know of the load is told instead."""
+
 MATRIX = 9
 """Entries of a 3×3 matrix."""
 
@@ -127,7 +130,7 @@ class LoadGenerator(nn.Module):
     ) -> Float[Tensor, "batch 3 16 16 16"]:  # fmt: skip
         config = self.config
         if not config.conditioned:
-            condition = torch.zeros_like(condition)
+            condition = condition.new_tensor(ANY_LOAD).expand_as(condition)
         if not config.skips:
             middle_skip, coarse_skip = torch.zeros_like(middle_skip), torch.zeros_like(coarse_skip)
         if config.prior:
@@ -155,7 +158,8 @@ class LoadGenerator(nn.Module):
         if not config.prior:
             own = own * (1.0 + whole[:, :1, None, None, None])
         correction = own + whole[:, :1, None, None, None] * prior + (matrix * prior[:, None]).sum(dim=2)
-        return correction * torch.tanh(cell_centres(LATTICE_SIZE, correction)[2] / CLAMP_HEIGHT)
+        held: Tensor = correction * torch.tanh(cell_centres(LATTICE_SIZE, correction)[2] / CLAMP_HEIGHT)
+        return held
 
 
 def _silent(layer: nn.Linear | nn.Conv3d) -> nn.Linear | nn.Conv3d:

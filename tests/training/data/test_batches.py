@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import torch
 
+from service.core import lookup
+from service.core.displacement import at_voxels
 from service.core.grids import unpack_bits
 from tests.training import tiny
 from training.data.batches import DeformationBatch, DeformationSet, ViewSet, split_of, unpack
 from training.data.fields import unpack_fields, unpack_nodes
-from training.networks.deformation import condition_planes, warp
+from training.networks.conditions import condition_planes
 
 
 @pytest.fixture(scope="module")
@@ -93,10 +95,17 @@ def random_batch() -> DeformationBatch:
     displacement = torch.nn.functional.interpolate(coarse, size=(32, 32, 32), mode="trilinear", align_corners=False)
     condition = torch.tensor([[0.4, 0.7, 0.3, 0.6, 0.0, -0.8, -2.0, 0.3, 0.1], [0.8, 0.4, 0.6, 0, -1, 0, -3, 0.1, 0.2]])
     return DeformationBatch(
-        rest=rest, condition=condition, deformed=warp(rest, displacement), displacement=displacement,
+        rest=rest, condition=condition, deformed=warped(rest, displacement), displacement=displacement,
         coverage=torch.rand(2, 1, 32, 32, 32, generator=torch.Generator().manual_seed(0)), peak=torch.ones(2),
         forward=displacement.flip(4), rest_coverage=torch.rand(1, 1, 32, 32, 32),
+        prior_forward=torch.nn.functional.avg_pool3d(displacement, 2), prior_backward=displacement.flip(2),
     )  # fmt: skip
+
+
+def warped(rest: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """The body under each field, as served."""
+    body = rest[0, 0].numpy() > 0.5
+    return torch.from_numpy(np.stack([lookup.warp(body, at_voxels(one, body)) for one in field.contiguous().numpy()]))
 
 
 IMAGES = [
@@ -110,7 +119,8 @@ IMAGES = [
 def test_an_image_of_the_image_is_the_original(image) -> None:
     batch = random_batch()
     twice = image(image(batch))
-    for name in ("rest", "condition", "deformed", "displacement", "coverage", "peak", "forward", "rest_coverage"):
+    for name in ("rest", "condition", "deformed", "displacement", "coverage", "peak", "forward", "rest_coverage",
+                 "prior_forward", "prior_backward"):
         torch.testing.assert_close(getattr(twice, name), getattr(batch, name), msg=name)
     assert not torch.equal(image(batch).rest, batch.rest)
 
@@ -119,7 +129,7 @@ def test_an_image_of_the_image_is_the_original(image) -> None:
 def test_the_image_of_the_deformation_is_the_deformation_of_the_image(image) -> None:
     batch = image(random_batch())
     # Rows of the lookup reach 4356, where float32 steps by 5e-4.
-    torch.testing.assert_close(warp(batch.rest, batch.displacement), batch.deformed, atol=1e-3, rtol=0)
+    torch.testing.assert_close(warped(batch.rest, batch.displacement), batch.deformed, atol=1e-3, rtol=0)
 
 
 @pytest.mark.parametrize(
