@@ -180,7 +180,11 @@ class FrameStream:
             frame, response = item
             frame.reached("reply")
             response.age_ms.update(frame.age_ms)
-            await self._write(response)
+            try:
+                await self._write(response)
+            except Exception as error:  # gRPC has several kinds, none of them public, for a client that has gone
+                log.info("stream has no reader any more: %s request=%s", error, self._request_id)
+                return
             self._room.release()
 
     def _span(self, frame_id: int) -> Span:
