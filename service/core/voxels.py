@@ -50,6 +50,20 @@ class VoxelView:
     observed: Occupancy
     free: Occupancy
 
+    @property
+    def layers(self) -> int:
+        """Layers of voxels, from the floor up, that the object can fill.
+
+        A camera that stands higher than all it sees of the object sees its highest point too: what could hide it would
+        be higher still. One layer is left for readings that are missing along the rim.
+        """
+        seen = np.flatnonzero(self.observed.any(axis=(0, 1)))
+        if len(seen) == 0:
+            return GRID_SIZE
+        above = int(seen[-1]) + 1
+        camera_height = float(self.grid.grid_from_camera[2, 3]) / self.grid.pitch_m
+        return min(above + 1, GRID_SIZE) if camera_height > above else GRID_SIZE
+
 
 def view_axes(up: Vector3) -> Transform:
     """Rotation camera_from_view: z against gravity, x along the viewing direction made horizontal, right-handed."""

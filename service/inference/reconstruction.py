@@ -20,11 +20,13 @@ class ReconstructionModel:
     def __call__(self, view: VoxelView) -> Probability:
         """Occupancy probability of every voxel of the view grid.
 
-        What was measured overrules the network: a voxel that a ray went through is empty.
+        What was measured overrules the network: a voxel that a ray went through is empty, and so is one above all that
+        was seen of the object, see `VoxelView.layers`.
         """
         states = np.stack([view.observed, view.free]).astype(np.float32)[None]
         (probability,) = self._session.run(["probability"], {"view": states})
         result: Probability = probability[0]
         # A product takes a tenth of the time of writing zeros through a mask.
         result *= ~view.free
+        result[:, :, view.layers :] = 0.0
         return result

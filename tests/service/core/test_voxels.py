@@ -6,6 +6,7 @@ from service.core.grids import Grid
 from service.core.voxels import (
     EDGE_OVER_EXTENT,
     FRONT_MARGIN,
+    VoxelView,
     carve_free,
     cover,
     view_axes,
@@ -113,3 +114,23 @@ def test_cover_adds_only_what_is_farther_than_a_voxel_from_the_body() -> None:
     covered = cover(body, observed)
     assert covered[40, 30, 2]
     assert covered.sum() == body.sum() + 1
+
+
+def seen_from(camera_height_voxels: float, top: int) -> VoxelView:
+    """A block of which the camera at that height saw a side, up to some layer."""
+    observed = np.zeros((64, 64, 64), bool)
+    observed[20, 20:30, : top + 1] = True
+    camera_from_grid = np.eye(4)
+    camera_from_grid[2, 3] = -0.01 * camera_height_voxels
+    return VoxelView(Grid(pitch_m=0.01, camera_from_grid=camera_from_grid), observed, ~observed & False)
+
+
+@pytest.mark.parametrize(("camera_height", "layers"), [(80.0, 32), (31.5, 32), (30.5, 64), (-5.0, 64)])
+def test_nothing_stands_higher_than_a_camera_above_saw(camera_height: float, layers: int) -> None:
+    assert seen_from(camera_height, top=30).layers == layers
+
+
+def test_where_nothing_was_seen_nothing_is_known_of_the_height() -> None:
+    view = seen_from(80.0, top=30)
+    nothing = VoxelView(view.grid, np.zeros_like(view.observed), view.free)
+    assert nothing.layers == seen_from(80.0, top=63).layers == 64
