@@ -83,8 +83,11 @@ def deformation_group(group: int) -> dict[str, np.ndarray]:
     for step, log_load in enumerate((-2.5, -2.2)):
         shift = np.array([SHEAR * 10.0**log_load, 0.0, 0.0])
         deformed, backward = sheared(rest, shift)
-        forward = np.where(rest, shift.astype(np.float32)[:, None, None, None] * CENTRES[2], np.nan).astype(np.float32)
-        result = Rasterised(deformed, backward, forward, float(shift[0] * height), float(shift[0] * height / 2))
+        forward = shift.astype(np.float32)[:, None, None, None] * CENTRES[2]
+        result = Rasterised(
+            deformed, np.ascontiguousarray(backward[:, deformed].T), np.flatnonzero(rest),
+            np.ascontiguousarray(forward[:, rest].T), float(shift[0] * height), float(shift[0] * height / 2),
+        )  # fmt: skip
         load = Load(np.array([0.5, 0.5, height]), np.array([1.0, 0.0, 0.0]), 10.0**log_load, 0.1)
         outcome = Outcome("linear", 1e-4, np.nan, Reaction(-load.load_number * load.direction, np.zeros(3)))
         samples.append(Sample.of(rest, result, load, Material(1e5, 0.3, 0.2), outcome, (0, float(step))))

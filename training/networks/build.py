@@ -41,7 +41,7 @@ def build_saved(saved: dict[str, Any]) -> nn.Module:
     """
     deformation = (DeformationConfig, PhysNetConfig)
     for kind in (*deformation, ReconstructionConfig, RecGanConfig):
-        if saved.keys() <= {field.name for field in dataclasses.fields(kind)}:
+        if saved.keys() == {field.name for field in dataclasses.fields(kind)}:
             options = {key: _restored(value) for key, value in saved.items()}
             config: Any = kind(**options)
             return build_deformation(config) if isinstance(config, deformation) else build_reconstruction(config)
