@@ -23,7 +23,7 @@ def test_the_network_of_a_checkpoint_answers_as_it_did(tmp_path: Path) -> None:
     assert state["dataset"]["digest"] == "sha256:0"
     rest = torch.from_numpy(tiny.box(0)).float()[None, None]
     with torch.no_grad():
-        expected, got = (n(rest, tiny.conditions(1), torch.ones(1, 3))[0] for n in (network, loaded))
+        expected, got = (n(rest, tiny.conditions(1), torch.ones(1, 3), tiny.priors(1))[0] for n in (network, loaded))
     assert torch.equal(expected, got)
 
 
