@@ -1,6 +1,6 @@
 """The command line of everything that makes models.
 
-`physnet-train simulate | dataset | solve | fit | evaluate | export`.
+`physnet-train simulate | dataset | solve | fit | evaluate | compare | export`.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import os
 import sys
 from pathlib import Path
 
+from training.commands.compare import add_compare
 from training.commands.dataset import add_dataset
 from training.commands.simulate import add_simulate
 from training.commands.solve import add_solve
@@ -46,6 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     export.add_argument("--version", required=True)
     export.set_defaults(run=_export)
 
+    add_compare(commands)
     add_simulate(commands)
     add_dataset(commands)
     add_solve(commands)

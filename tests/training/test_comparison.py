@@ -1,0 +1,52 @@
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.training import tiny
+from training.comparison import compare, contenders, markdown, report
+from training.data.batches import DeformationSet
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> tuple[DeformationSet, DeformationSet]:
+    root = tiny.write_deformations(tmp_path_factory.mktemp("deformations"))
+    return DeformationSet.load(root, "train", prior=False), DeformationSet.load(root, "test")
+
+
+def test_every_rival_is_scored_on_the_same_samples(sets: tuple[DeformationSet, DeformationSet]) -> None:
+    training, test = sets
+    rows = np.arange(len(test))
+    table = compare(contenders(tiny.deformation_network(), 0.5, training, [8]), test, rows)
+    assert [scores.name for scores in table] == [
+        "nothing moves", "mean training shape", "4 nearest conditions", "linear FEM, 8³", "coarse solve alone",
+        "network",
+    ]  # fmt: skip
+    np.testing.assert_allclose(table[0].iou, test.identity_iou, atol=1e-6)
+    assert not table[0].changed.any()
+    # The blocks are sheared, which no solve of theirs would do; but they are pushed that way.
+    assert table[4].iou.mean() > table[1].iou.mean()
+    found = report(table, test, rows)
+    assert found["bands"]["all"]["nothing moves"]["skill"] == pytest.approx(0.0, abs=1e-6)
+    assert found["bands"]["family: box"]["samples"] == len(test) == found["samples"]
+    assert len(found["worst"]) == min(10, len(test))
+    text = markdown(found)
+    assert text.count("\n| network | ") == 1
+    assert "| load number: highest third |" in text
+
+
+def test_a_network_that_does_not_deform_is_no_contender(sets: tuple[DeformationSet, DeformationSet]) -> None:
+    with pytest.raises(TypeError, match="ReconstructionNetwork deforms nothing"):
+        contenders(tiny.reconstruction_network(), 0.5, sets[0], [])
+
+
+def test_the_command_writes_both_reports(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from training.__main__ import main
+
+    data = tiny.write_deformations(tmp_path / "data")
+    tiny.save_checkpoint(tiny.deformation_network(), tiny.FIT_DEFORMATION, tmp_path / "run")
+    arguments = ["compare", "--run", str(tmp_path / "run"), "--data", str(data), "--out", str(tmp_path / "out")]
+    assert main([*arguments, "--samples", "2", "--cells", "8"]) == 0
+    assert (tmp_path / "out" / "comparison.md").read_text() in capsys.readouterr().out
+    assert main(["compare", "--run", str(tmp_path), "--data", str(data), "--out", str(tmp_path / "no")]) == 1
+    assert not (tmp_path / "no").exists()

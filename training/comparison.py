@@ -1,0 +1,184 @@
+"""Deformation networks beside what they must beat, on bodies that none of them was trained on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+from torch import nn
+
+from service.core.displacement import at_voxels
+from service.core.lookup import warp
+from training.baselines import LinearFem, NearestNeighbours, mean_shape
+from training.data.batches import DeformationBatch, DeformationSet
+from training.evaluate import MOVED
+from training.metrics import changed_voxel_iou, iou, skill
+from training.networks.deformation import DeformationNetwork
+from training.networks.physnet import PhysNet
+from training.predict import predict
+from training.simulation.body import BodyError
+from training.simulation.loads import LoadError
+
+Occupancies: TypeAlias = Float32[np.ndarray, "b x=64 y=64 z=64"]
+Answering: TypeAlias = Callable[[DeformationBatch], Occupancies]
+
+NEIGHBOUR_SCALE = np.array([1.0, 1.0, 1.0, 0.5, 0.5, 0.5, 0.5, 0.5, 1.0])
+"""Distances between conditions are measured in these units."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """Something that answers what a body will look like.
+
+    Attributes:
+        name: In the table.
+        answer: Occupancy probabilities for a batch in which every load has a body of its own.
+        threshold: Above it a voxel is filled.
+    """
+
+    name: str
+    answer: Answering
+    threshold: float = 0.5
+
+
+@dataclass(frozen=True)
+class Scores:
+    """Of one contender, a row a sample."""
+
+    name: str
+    iou: Float[np.ndarray, " n"]
+    changed: Float[np.ndarray, " n"]
+    ms: float
+
+    def figures(self, identity: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -> dict[str, float]:
+        """Means over some samples; skill over those of them that moved."""
+        moved = rows & (identity < MOVED)
+        gained = skill(self.iou[moved], identity[moved])
+        return {
+            "iou": float(self.iou[rows].mean()),
+            "iou_p10": float(np.quantile(self.iou[rows], 0.1)),
+            "skill": float(gained.mean()) if moved.any() else 0.0,
+            "iou_changed_voxels": float(self.changed[moved].mean()) if moved.any() else 0.0,
+        }
+
+
+def deforming(network: nn.Module) -> DeformationNetwork | PhysNet:
+    """The network, if it is one that deforms.
+
+    Raises:
+        TypeError: It is not.
+    """
+    if not isinstance(network, (DeformationNetwork, PhysNet)):
+        raise TypeError(f"a {type(network).__name__} deforms nothing")
+    return network
+
+
+def contenders(network: nn.Module, threshold: float, training: DeformationSet, cells: Sequence[int]) -> list[Contender]:
+    """The network, and all that stands beside it in the table.
+
+    Raises:
+        TypeError: The network does not deform.
+    """
+    own = deforming(network)
+    average = mean_shape(training.deformed)
+    neighbours = NearestNeighbours(training.condition, training.deformed, NEIGHBOUR_SCALE)
+    rivals = [
+        Contender("nothing moves", lambda batch: batch.rest[:, 0].numpy()),
+        Contender("mean training shape", lambda batch: np.stack([average] * len(batch.condition))),
+        Contender("4 nearest conditions", lambda batch: neighbours(batch.condition.numpy())),
+        *(Contender(f"linear FEM, {n}³", _linear_fem(n)) for n in cells),
+        Contender("coarse solve alone", _coarse_solve, threshold),
+    ]
+    return [*rivals, Contender("network", lambda batch: predict(own, batch).probability, threshold)]
+
+
+def compare(rivals: Sequence[Contender], samples: DeformationSet, rows: Int[np.ndarray, " n"]) -> list[Scores]:
+    """Score each on the same samples, one at a time as a robot asks; ms is processor time, with the coarse solve."""
+    table = []
+    for rival in rivals:
+        scores, started = [], time.process_time()
+        for row in rows:
+            batch = samples.batch(np.array([row]))
+            rest, truth = batch.rest[0, 0].numpy() > 0.5, batch.deformed[0].numpy() > 0.5
+            predicted = rival.answer(batch)[0] > rival.threshold
+            scores.append((iou(predicted, truth), changed_voxel_iou(predicted, truth, rest)))
+        elapsed_ms = 1e3 * (time.process_time() - started) / len(rows)
+        values = np.array(scores)
+        table.append(Scores(rival.name, values[:, 0], values[:, 1], elapsed_ms))
+    return table
+
+
+def report(table: Sequence[Scores], samples: DeformationSet, rows: Int[np.ndarray, " n"]) -> dict[str, Any]:
+    """Figures of all samples and of bands of them, and the worst ten of the last row of the table."""
+    identity = samples.identity_iou[rows].astype(float)
+    load, peak = samples.condition[rows, 6], samples.peak[rows]
+    families = np.array(samples.family)[samples.body[rows]]
+    bands = {"all": np.ones(len(rows), bool)}
+    for name, values in (("load number", load), ("peak displacement", peak)):
+        third = np.argsort(np.argsort(values, kind="stable")) * 3 // len(values)
+        bands |= {f"{name}: {part} third": third == i for i, part in enumerate(("lowest", "middle", "highest"))}
+    bands |= {f"family: {family}": families == family for family in np.unique(families)}
+    worst = np.argsort(table[-1].iou)[:10]
+    return {
+        "samples": len(rows),
+        "identity": float(identity.mean()),
+        "ms": {scores.name: scores.ms for scores in table},
+        "bands": {
+            band: {"samples": int(chosen.sum()), **{s.name: s.figures(identity, chosen) for s in table}}
+            for band, chosen in bands.items()
+            if chosen.any()
+        },
+        "worst": [
+            {"row": int(rows[i]), "family": str(families[i]), "identity": float(identity[i]),
+             "iou": float(table[-1].iou[i]), "log10_load_number": float(load[i])}
+            for i in worst
+        ],
+    }  # fmt: skip
+
+
+def markdown(found: dict[str, Any]) -> str:
+    """The report as tables."""
+    names = list(found["ms"])
+    lines = ["| | IoU | worst tenth below | skill | IoU of changed voxels | ms |", "|---|---|---|---|---|---|"]
+    for name in names:
+        row = found["bands"]["all"][name]
+        lines.append(
+            f"| {name} | {row['iou']:.3f} | {row['iou_p10']:.3f} | {row['skill']:.3f} | "
+            f"{row['iou_changed_voxels']:.3f} | {found['ms'][name]:.0f} |"
+        )
+    lines += ["", "| skill by band | samples | " + " | ".join(names) + " |", "|---" * (len(names) + 2) + "|"]
+    for band, row in found["bands"].items():
+        if band != "all":
+            cells = " | ".join(f"{row[name]['skill']:.2f}" for name in names)
+            lines.append(f"| {band} | {row['samples']} | {cells} |")
+    lines += ["", "| the ten worst | where nothing moves | IoU | log10 of the load number |", "|---|---|---|---|"]
+    lines += [
+        f"| {row['family']} | {row['identity']:.3f} | {row['iou']:.3f} | {row['log10_load_number']:.2f} |"
+        for row in found["worst"]
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _coarse_solve(batch: DeformationBatch) -> Occupancies:
+    """What the network starts from, uncorrected."""
+    bodies = batch.rest[:, 0].numpy() > 0.5
+    fields = batch.prior_backward.numpy()
+    return np.stack([warp(body, at_voxels(field, body)) for body, field in zip(bodies, fields, strict=True)])
+
+
+def _linear_fem(cells: int) -> Answering:
+    def answer(batch: DeformationBatch) -> Occupancies:
+        """The body as it was where the mesh is too coarse to hold it or to push it."""
+        answers = []
+        for rest, condition in zip(batch.rest[:, 0].numpy() > 0.5, batch.condition.numpy(), strict=True):
+            try:
+                answers.append(LinearFem(rest, cells)(condition).deformed.astype(np.float32))
+            except (BodyError, LoadError):
+                answers.append(rest.astype(np.float32))
+        return np.stack(answers)
+
+    return answer
