@@ -1,4 +1,4 @@
-"""NumPy façade of the deformation network."""
+"""NumPy façade of the deformation: a coarse elastic solve, and the network that corrects it."""
 
 from __future__ import annotations
 
@@ -12,10 +12,16 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.core.lookup import warp
+from service.core.displacement import at_voxels, body_box, corrected
+from service.core.lookup import Warp
 from service.core.manifest import Manifest
+from service.core.prior import ElasticPrior
 
 Displacements: TypeAlias = Float32[np.ndarray, "n axis=3 x=64 y=64 z=64"]
+Forward: TypeAlias = Float32[np.ndarray, "n axis=3 x=16 y=16 z=16"]
+Backward: TypeAlias = Float32[np.ndarray, "n axis=3 x=32 y=32 z=32"]
+
+POISSON_RATIO = CONDITION_FIELDS.index("poisson_ratio")
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,14 @@ class Deformation:
     displacement: Displacements
 
 
+@dataclass(frozen=True)
+class Prior:
+    """Answers of the coarse solve for n loads, see `service.core.prior.PriorSolution`."""
+
+    forward: Forward
+    backward: Backward
+
+
 class DeformationModel:
     """From an undeformed body and a batch of conditions to its deformed shapes."""
 
@@ -39,24 +53,49 @@ class DeformationModel:
         self.manifest = manifest
         self._latent = int(next(i for i in session.get_inputs() if i.name == "noise").shape[1])
 
-    def __call__(self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0) -> Deformation:
+    def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
+        """The coarse solve that the network starts from; loads of one material are solved at once."""
+        n = len(conditions)
+        forward, backward = np.zeros((n, 3, 16, 16, 16), np.float32), np.zeros((n, 3, 32, 32, 32), np.float32)
+        ratios = np.array([condition[POISSON_RATIO] for condition in conditions])
+        for ratio in np.unique(ratios):
+            rows = np.flatnonzero(ratios == ratio)
+            answer = ElasticPrior(rest, float(ratio)).displacements([conditions[row] for row in rows.tolist()])
+            forward[rows], backward[rows] = answer.forward, answer.backward
+        return Prior(forward, backward)
+
+    def __call__(
+        self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None
+    ) -> Deformation:
         """Deform one body under each of n loads.
 
         Args:
-            rest: Undeformed body in its body grid.
+            rest: Undeformed body in its body grid, not empty.
             conditions: One vector a load, at least one.
             samples: 0 takes the latent's mean; more averages the answers over that many draws of it (fixed seed, so
                 that a question asked twice has one answer).
+            prior: Of these loads, if it is known already.
         """
-        body = rest.astype(np.float32)[None, None]
-        stacked = np.stack(conditions)
+        prior = prior or self.prior(rest, conditions)
+        inputs = {
+            "rest": rest.astype(np.float32)[None, None], "condition": np.stack(conditions), "prior": prior.forward,
+        }  # fmt: skip
+        deform, box = Warp(rest), body_box(rest)
+
+        def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
+            (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})
+            fields = [corrected(u, delta, box) for u, delta in zip(prior.backward, correction, strict=True)]
+            displacement = np.stack([at_voxels(field, rest) for field in fields])
+            return Deformation(np.stack([deform(u) for u in displacement]), displacement)
+
         if samples == 0:
-            displacement = self._run(body, stacked, np.zeros((len(stacked), self._latent), np.float32))
-            return Deformation(_warp_all(rest, displacement), displacement)
+            return answer(np.zeros((len(conditions), self._latent), np.float32))
         draws = np.random.default_rng(0).standard_normal((samples, self._latent)).astype(np.float32)
-        answers = [self._run(body, stacked, np.repeat(draw[None], len(stacked), axis=0)) for draw in draws]
-        probability = np.stack([_warp_all(rest, displacement) for displacement in answers]).mean(axis=0)
-        return Deformation(probability, np.stack(answers).mean(axis=0))
+        answers = [answer(np.repeat(draw[None], len(conditions), axis=0)) for draw in draws]
+        return Deformation(
+            np.stack([each.probability for each in answers]).mean(axis=0),
+            np.stack([each.displacement for each in answers]).mean(axis=0),
+        )
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.
@@ -68,15 +107,3 @@ class DeformationModel:
             if value > high or (value < low and name != "log10_load_number"):
                 return True
         return False
-
-    def _run(
-        self, body: Float32[np.ndarray, "1 1 x y z"], conditions: Float32[np.ndarray, "n 9"],
-        noise: Float32[np.ndarray, "n latent"],
-    ) -> Displacements:  # fmt: skip
-        (displacement,) = self._session.run(["displacement"], {"rest": body, "condition": conditions, "noise": noise})
-        result: Displacements = displacement
-        return result
-
-
-def _warp_all(rest: Occupancy, displacement: Displacements) -> Float32[np.ndarray, "n x=64 y=64 z=64"]:
-    return np.stack([warp(rest, field) for field in displacement])

@@ -36,9 +36,11 @@ class Models:
         nothing = np.zeros((GRID_SIZE,) * 3, bool)
         view = VoxelView(grid=Grid(pitch_m=1.0, camera_from_grid=np.eye(4)), observed=nothing, free=nothing)
         push = np.array([0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.3, 0.1], np.float32)
+        block = nothing.copy()
+        block[16:48, 16:48, :32] = True
         for _ in range(2):
             self.reconstruction(view)
-            self.deformation(nothing, [push])
+            self.deformation(block, [push])
 
 
 def load_models(directory: Path, threads: int) -> Models:

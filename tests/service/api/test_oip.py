@@ -63,7 +63,8 @@ def as_dict(found: Any) -> Any:
 
 
 def push(latent: int) -> dict[str, np.ndarray]:
-    return {"rest": REST, "condition": PUSH, "noise": np.zeros((2, latent), np.float32)}
+    prior = np.full((2, 3, 16, 16, 16), 0.01, np.float32)
+    return {"rest": REST, "condition": PUSH, "noise": np.zeros((2, latent), np.float32), "prior": prior}
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +107,7 @@ def test_configuration_names_the_graph_and_its_tensors(triton):
     found = found.get("config", found)
     assert (found["name"], found["backend"]) == ("deformation", "onnxruntime")
     assert found["default_model_filename"].endswith(".onnx")
-    assert [tensor["name"] for tensor in found["input"]] == ["rest", "condition", "noise"]
+    assert [tensor["name"] for tensor in found["input"]] == ["rest", "condition", "noise", "prior"]
     assert {tensor["data_type"] for tensor in found["input"]} == {"TYPE_FP32"}
     assert [int(size) for size in found["input"][1]["dims"]] == [-1, 9]
 
@@ -121,17 +122,17 @@ def test_a_network_gives_what_its_graph_gives(triton, models, latent):
     assert (response["id"], response["model_version"]) == ("42", models.reconstruction.manifest.version)
     moved = client.infer("deformation", inputs(library, **push(latent)), outputs=None)
     (expected,) = models.graphs[1].run(push(latent)).values()
-    assert moved.as_numpy("displacement").shape == (2, 3, 64, 64, 64)
-    np.testing.assert_allclose(moved.as_numpy("displacement"), expected, atol=1e-5)
+    assert moved.as_numpy("correction").shape == (2, 3, 16, 16, 16)
+    np.testing.assert_allclose(moved.as_numpy("correction"), expected, atol=1e-5)
 
 
 def test_json_and_binary_tensors_are_the_same(live_service, latent):
     with by_http.InferenceServerClient(live_service.url.removeprefix("http://")) as client:
         raw = client.infer("deformation", inputs(by_http, **push(latent)),
-                           outputs=[by_http.InferRequestedOutput("displacement", binary_data=True)])  # fmt: skip
+                           outputs=[by_http.InferRequestedOutput("correction", binary_data=True)])  # fmt: skip
         as_json = client.infer("deformation", inputs(by_http, binary=False, **push(latent)),
-                               outputs=[by_http.InferRequestedOutput("displacement", binary_data=False)])  # fmt: skip
-    np.testing.assert_array_equal(as_json.as_numpy("displacement"), raw.as_numpy("displacement"))
+                               outputs=[by_http.InferRequestedOutput("correction", binary_data=False)])  # fmt: skip
+    np.testing.assert_array_equal(as_json.as_numpy("correction"), raw.as_numpy("correction"))
 
 
 def test_typed_contents_and_raw_ones_are_the_same(live_service, latent):
@@ -146,7 +147,7 @@ def test_typed_contents_and_raw_ones_are_the_same(live_service, latent):
     with grpc.insecure_channel(live_service.grpc, [("grpc.max_receive_message_length", -1)]) as channel:
         typed = service_pb2_grpc.GRPCInferenceServiceStub(channel).ModelInfer(request, timeout=30)
     client = by_grpc.InferenceServerClient(live_service.grpc)
-    raw = client.infer("deformation", inputs(by_grpc, **push(latent))).as_numpy("displacement")
+    raw = client.infer("deformation", inputs(by_grpc, **push(latent))).as_numpy("correction")
     client.close()
     np.testing.assert_array_equal(np.frombuffer(typed.raw_output_contents[0], "<f4").reshape(raw.shape), raw)
 
@@ -215,13 +216,13 @@ def test_a_wrong_tensor_is_told(triton, latent):
     assert "`condition` is of datatype FP32" in asked(condition=PUSH.astype(np.float64))
     assert "`noise` is missing" in asked(noise=None)
     assert "no input `mass`" in asked(mass=PUSH)
-    many = {"condition": PUSH.repeat(500, axis=0), "noise": np.zeros((1000, latent), np.float32)}
+    many = {name: array.repeat(500, axis=0) for name, array in push(latent).items() if name != "rest"}
     assert "this service takes" in asked(**many)
     wrong = library.InferRequestedOutput("stress")
     assert "no output `stress`" in refused(
         client.infer, "deformation", inputs(library, **push(latent)), outputs=[wrong]
     )
-    assert client.infer("deformation", inputs(library, **push(latent))).as_numpy("displacement") is not None
+    assert client.infer("deformation", inputs(library, **push(latent))).as_numpy("correction") is not None
 
 
 @pytest.mark.parametrize(
@@ -273,7 +274,7 @@ def test_a_stream_answers_in_order_and_outlives_an_error(live_service, latent):
     for (result, _), number in zip(found[::2], "13", strict=True):
         assert result.get_response().id == number
         assert result.get_response().parameters["triton_final_response"].bool_param
-        assert result.as_numpy("displacement").shape == (2, 3, 64, 64, 64)
+        assert result.as_numpy("correction").shape == (2, 3, 16, 16, 16)
 
 
 def test_a_call_of_the_published_interface_that_is_not_served(live_service):

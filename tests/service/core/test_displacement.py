@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.core.displacement import at_voxels, corrected, look_up
+from service.core.displacement import at_voxels, body_box, corrected, look_up
 
 STEPS = (np.arange(32) + 0.5) / 32
 CENTRES = np.stack(np.meshgrid(STEPS, STEPS, STEPS, indexing="ij")).astype(np.float32)
@@ -52,6 +52,20 @@ def test_material_that_was_turned_and_is_then_pushed_comes_from_where_it_was() -
     expected = CENTRES - middle - np.einsum("ji,jxyz->ixyz", turn, CENTRES - middle - push)
     inner = (slice(None), slice(4, 28), slice(4, 28), slice(16, 28))
     np.testing.assert_allclose(corrected(field.astype(np.float32), correction)[inner], expected[inner], atol=1e-3)
+
+
+def test_only_where_the_body_can_get_to_is_corrected() -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[20:36, 30:40, :24] = True
+    assert body_box(rest) == ((20 / 64, 30 / 64, 0.0), (36 / 64, 40 / 64, 24 / 64))
+    field = np.zeros((3, 32, 32, 32), np.float32)
+    field[0] = 0.1 * CENTRES[2]
+    correction = np.full((3, 16, 16, 16), 0.02, np.float32)
+    part, whole = corrected(field, correction, body_box(rest)), corrected(field, correction)
+    # Within reach: x from 20/64 to 36/64 + 0.12, and no farther than two nodes beyond.
+    np.testing.assert_array_equal(part[:, 10:22, 15:21, :13], whole[:, 10:22, 15:21, :13])
+    np.testing.assert_array_equal(part[:, :7], field[:, :7])
+    np.testing.assert_array_equal(part[:, 27:], field[:, 27:])
 
 
 def test_nothing_moves_farther_than_it_is_high() -> None:

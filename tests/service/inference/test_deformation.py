@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from service.core.condition import CONDITION_FIELDS
+from service.core.displacement import at_voxels, body_box, corrected
 from service.core.lookup import warp
 from service.inference.registry import Models
 
@@ -21,7 +22,8 @@ def test_a_batch_of_loads_is_each_load_on_its_own(models: Models) -> None:
     assert together.displacement.shape == (3, 3, 64, 64, 64)
     for i, one in enumerate(pushes):
         alone = models.deformation(BODY, [one])
-        np.testing.assert_allclose(together.displacement[i], alone.displacement[0], atol=1e-5)
+        # Rounding decides which cell of the coarse solve's lattice a point on its border counts to.
+        np.testing.assert_allclose(together.displacement[i], alone.displacement[0], atol=5e-4)
         # The lookup rounds its weights to 1/32 voxel.
         np.testing.assert_allclose(together.probability[i], alone.probability[0], atol=0.07)
 
@@ -54,6 +56,16 @@ def test_a_harder_push_moves_it_farther(models: Models) -> None:
     assert lengths[0] < 0.2 * lengths[1]
 
 
+def test_loads_of_several_materials_are_solved_each_with_its_own(models: Models) -> None:
+    soft, stiff = push(), push()
+    soft[7], stiff[7] = 0.0, 0.45
+    both = models.deformation.prior(BODY, [soft, stiff, soft])
+    alone = models.deformation.prior(BODY, [stiff])
+    np.testing.assert_allclose(both.forward[1], alone.forward[0], atol=1e-6)
+    np.testing.assert_array_equal(both.backward[0], both.backward[2])
+    assert np.abs(both.forward[0] - both.forward[1]).max() > 1e-4
+
+
 def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
     first, second = (models.deformation(BODY, [push(), push(0.6)], samples=3) for _ in range(2))
     np.testing.assert_array_equal(first.probability, second.probability)
@@ -64,8 +76,10 @@ def test_samples_are_averaged(models: Models) -> None:
     session = models.deformation._session
     (latent,) = [tensor.shape[1] for tensor in session.get_inputs() if tensor.name == "noise"]
     draws = np.random.default_rng(0).standard_normal((2, latent)).astype(np.float32)
-    inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None]}
-    fields = [session.run(["displacement"], {**inputs, "noise": draw[None]})[0][0] for draw in draws]
+    prior = models.deformation.prior(BODY, [push()])
+    inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None], "prior": prior.forward}
+    corrections = [session.run(["correction"], {**inputs, "noise": draw[None]})[0][0] for draw in draws]
+    fields = [at_voxels(corrected(prior.backward[0], correction, body_box(BODY)), BODY) for correction in corrections]
     answer = models.deformation(BODY, [push()], samples=2)
     np.testing.assert_allclose(answer.displacement[0], np.mean(fields, axis=0), atol=1e-6)
     np.testing.assert_allclose(answer.probability[0], np.mean([warp(BODY, f) for f in fields], axis=0), atol=1e-6)
