@@ -22,7 +22,7 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
-from training.networks.deformation import LATTICE_SIZE, DeformationNetwork
+from training.networks.deformation import LATTICE_SIZE, DeformationNetwork, shrunk
 from training.networks.reconstruction import ReconstructionNetwork
 
 OPSET = 20
@@ -83,10 +83,14 @@ def export_model(
 ) -> Manifest:  # fmt: skip
     """Write `directory/name/version/{model.onnx, manifest.json, CARD.md}`.
 
+    A deformation network says the share of its correction that the evaluation was made with.
+
     Raises:
         ExportError: ONNX Runtime's answers differ from torch's by more than 1e-4 on random inputs.
     """
     network, state = load_network(checkpoint)
+    if isinstance(network, DeformationNetwork):
+        network = shrunk(network, evaluation.get("correction_share", 1.0))
     kind, graph, tensors = _graph(network)
     folder = directory / name / version
     folder.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,14 @@ import torch
 
 from tests.training import tiny
 from training.data.batches import DeformationSet, ViewSet
-from training.evaluate import THRESHOLDS, evaluate, evaluate_deformation, evaluate_reconstruction, tune_threshold
+from training.evaluate import (
+    THRESHOLDS,
+    evaluate,
+    evaluate_deformation,
+    evaluate_reconstruction,
+    tune_share,
+    tune_threshold,
+)
 from training.networks.deformation import DeformationNetwork
 from training.networks.physnet import PhysNet
 from training.networks.reconstruction import ReconstructionNetwork
@@ -140,3 +147,34 @@ def test_a_checkpoint_is_scored_on_the_split_asked_for(
     assert 0.0 <= figures["iou"] <= 1.0
     given, again = evaluate(checkpoint, data, "test", threshold)
     assert (given, again) == (threshold, figures)
+
+
+class Overshooting(DeformationNetwork):
+    """Adds twice what is missing after half of the true shear."""
+
+    def __init__(self) -> None:
+        super().__init__(tiny.DEFORMATION)
+
+    def forward(self, rest, condition, noise, prior):
+        heights = (torch.arange(16) + 0.5) / 16
+        field = torch.zeros(len(condition), 3, 16, 16, 16)
+        field[:, 0] = (tiny.SHEAR * 10.0 ** condition[:, 6])[:, None, None, None] * heights
+        field = field * self.generator.head.bias[0]
+        latent = torch.zeros(len(condition), 3)
+        return field, latent, latent
+
+
+@pytest.mark.parametrize(("said", "share"), [(1.0, 0.5), (2.0, 0.25), (-1.0, 0.0), (0.5, 1.0)])
+def test_the_share_of_the_correction_is_tuned(deformations: Path, said: float, share: float) -> None:
+    """The prior has half of the shear here, so that half of the shear is missing."""
+    samples = DeformationSet.load(deformations, "train", prior=False)
+
+    class Half(type(samples)):
+        def batch(self, rows):
+            batch = super().batch(rows)
+            return dataclasses.replace(batch, prior_backward=0.5 * batch.displacement)
+
+    halved = Half(**{field.name: getattr(samples, field.name) for field in dataclasses.fields(samples)})
+    network = Overshooting()
+    torch.nn.init.constant_(network.generator.head.bias, said)
+    assert tune_share(network, halved) == share

@@ -8,6 +8,7 @@ through unblurred: the deformed occupancy is the undeformed one, looked up where
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from typing import Literal
 
@@ -209,6 +210,15 @@ class DeformationNetwork(nn.Module):
             )
         z = mean + torch.exp(0.5 * log_variance) * noise
         return self.generator(middle, coarse, z, condition, prior), mean, log_variance
+
+
+def shrunk(network: DeformationNetwork, share: float) -> DeformationNetwork:
+    """A copy that says this share of every correction: its last layers, in which the correction is linear, scaled."""
+    copied = copy.deepcopy(network)
+    for layer in (copied.generator.head, copied.generator.whole[-1]):
+        for parameter in layer.parameters():
+            parameter.data *= share
+    return copied
 
 
 def sample_field(

@@ -13,6 +13,7 @@ from training.networks.deformation import (
     DeformationNetwork,
     displacement_at,
     sample_field,
+    shrunk,
     smoothed,
     soft_warp,
 )
@@ -202,6 +203,14 @@ def test_loads_are_divided_evenly_among_the_bodies() -> None:
             for b in (0, 1)
         ]
     torch.testing.assert_close(together, torch.cat(each), atol=1e-6, rtol=1e-4)
+
+
+def test_a_shrunk_network_says_its_share_of_every_correction() -> None:
+    network, prior = tiny.deformation_network(), tiny.priors(2)
+    whole = answer(network, prior)
+    torch.testing.assert_close(answer(shrunk(network, 0.25), prior), 0.25 * whole, rtol=1e-4, atol=1e-7)
+    torch.testing.assert_close(answer(network, prior), whole)
+    assert not answer(shrunk(network, 0.0), prior).any()
 
 
 def test_noise_moves_the_latent() -> None:
