@@ -192,7 +192,7 @@ def test_a_loss_that_is_no_number_stops_with_its_step_and_keeps_the_checkpoint(t
     before = (tmp_path / "run" / "checkpoint.pt").read_bytes()
     store = Store(data)
     for index, group in list(store.groups()):  # spoiled behind the manifest's back
-        store.write_group(index, {**group, "displacement": np.full_like(group["displacement"], np.nan)})
+        store.write_group(index, {**group, "forward": np.full_like(group["forward"], np.nan)})
     with pytest.raises(RunError, match=r"the loss is nan at step 3; the last checkpoint is kept"):
         fit_deformation(data, Run(tmp_path / "run"), tiny.FIT_DEFORMATION)
     assert (tmp_path / "run" / "checkpoint.pt").read_bytes() == before

@@ -115,10 +115,10 @@ def compare(models: Sequence[Served], views: Iterator[View]) -> dict[str, list[l
                 scores.setdefault(kind, [[] for _ in models])[place].append(row)
     figures: dict[str, list[list[float]]] = {}
     for kind, columns in scores.items():
-        figures[kind] = [
-            [len(rows), *np.mean(rows, axis=0)[:1], np.quantile(rows, 0.1, axis=0)[0], *np.mean(rows, axis=0)[1:]]
-            for rows in columns
-        ]
+        figures[kind] = []
+        for rows in columns:
+            whole, visible, hidden = (float(value) for value in np.mean(rows, axis=0))
+            figures[kind].append([float(len(rows)), whole, float(np.quantile(rows, 0.1, axis=0)[0]), visible, hidden])
     return figures
 
 
