@@ -52,6 +52,7 @@ class DeformationModel:
         self._session = session
         self.manifest = manifest
         self._latent = int(next(i for i in session.get_inputs() if i.name == "noise").shape[1])
+        self._solved: tuple[Occupancy, float, ElasticPrior] | None = None
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
@@ -60,7 +61,7 @@ class DeformationModel:
         ratios = np.array([condition[POISSON_RATIO] for condition in conditions])
         for ratio in np.unique(ratios):
             rows = np.flatnonzero(ratios == ratio)
-            answer = ElasticPrior(rest, float(ratio)).displacements([conditions[row] for row in rows.tolist()])
+            answer = self._solver(rest, float(ratio)).displacements([conditions[row] for row in rows.tolist()])
             forward[rows], backward[rows] = answer.forward, answer.backward
         return Prior(forward, backward)
 
@@ -96,6 +97,12 @@ class DeformationModel:
             np.stack([each.probability for each in answers]).mean(axis=0),
             np.stack([each.displacement for each in answers]).mean(axis=0),
         )
+
+    def _solver(self, rest: Occupancy, poisson_ratio: float) -> ElasticPrior:
+        """The factorised solve of a body. That of the last one is kept: a planner asks about the same body again."""
+        if self._solved is None or self._solved[0] is not rest or self._solved[1] != poisson_ratio:
+            self._solved = rest, poisson_ratio, ElasticPrior(rest, poisson_ratio)
+        return self._solved[2]
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.

@@ -4,6 +4,7 @@ import pytest
 from service.core.condition import CONDITION_FIELDS
 from service.core.displacement import at_voxels, body_box, corrected
 from service.core.lookup import warp
+from service.core.prior import ElasticPrior
 from service.inference.registry import Models
 
 BODY = np.zeros((64, 64, 64), bool)
@@ -64,6 +65,27 @@ def test_loads_of_several_materials_are_solved_each_with_its_own(models: Models)
     np.testing.assert_allclose(both.forward[1], alone.forward[0], atol=1e-6)
     np.testing.assert_array_equal(both.backward[0], both.backward[2])
     assert np.abs(both.forward[0] - both.forward[1]).max() > 1e-4
+
+
+def test_a_body_asked_about_again_is_not_factorised_again(models: Models, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Counted(ElasticPrior):
+        def __init__(self, rest: np.ndarray, poisson_ratio: float) -> None:
+            made.append(poisson_ratio)
+            super().__init__(rest, poisson_ratio)
+
+    monkeypatch.setattr("service.inference.deformation.ElasticPrior", Counted)
+    body, other = BODY.copy(), BODY.copy()
+    first = models.deformation.prior(body, [push()])
+    again = models.deformation.prior(body, [push(0.6), push()])
+    assert len(made) == 1
+    np.testing.assert_allclose(again.forward[1], first.forward[0], atol=1e-4)
+    softer = push()
+    softer[7] = 0.1
+    models.deformation.prior(body, [softer])
+    models.deformation.prior(other, [softer])
+    assert len(made) == 3
 
 
 def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
