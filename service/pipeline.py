@@ -21,6 +21,7 @@ from service.core.depth_crop import DepthCrop, crop_around
 from service.core.errors import InvalidRequest
 from service.core.grids import Grid
 from service.core.limits import DEFAULT_LIMITS, FrameLimits
+from service.core.lookup import smoothed
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
@@ -57,6 +58,8 @@ class Body:
         occupancy: The body.
         flags: What the robot should know about it.
         crop: The depth image around it, in which later contacts are looked up; None for a known shape.
+        smooth: A known shape's smoothed occupancy: its voxels tell its surface better in their own grid than again in
+            the body's.
     """
 
     grid: Grid
@@ -65,6 +68,7 @@ class Body:
     occupancy: Occupancy
     flags: frozenset[str]
     crop: DepthCrop | None = None
+    smooth: Probability | None = None
 
     @cached_property
     def surface_m(self) -> Float64[np.ndarray, "axis=3 n"]:
@@ -75,7 +79,7 @@ class Body:
     def nbytes(self) -> int:
         """Memory of its arrays."""
         depth_m = None if self.crop is None else self.crop.depth_m
-        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m)
+        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, self.smooth)
         return sum(array.nbytes for array in arrays if array is not None)
 
 
@@ -208,7 +212,9 @@ class Pipeline:
         with watch.stage("align"):
             grid = body_grid(given, given_grid, up=source.up, on_floor=False)
             probability = resample(given.astype(np.float32), given_grid, grid)
-        return Body(grid, None, probability, probability > KNOWN_SHAPE_THRESHOLD, frozenset()), contacts
+            smooth = resample(smoothed(given), given_grid, grid)
+        occupancy = probability > KNOWN_SHAPE_THRESHOLD
+        return Body(grid, None, probability, occupancy, frozenset(), smooth=smooth), contacts
 
     def _deform(
         self, body: Body, contacts: list[Vector3], request: DeformRequest, watch: Stopwatch
@@ -222,7 +228,9 @@ class Pipeline:
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[tuple[Probability, Displacement]] = iter(())
             if conditions:
-                deformation = self._deformation(body.occupancy, conditions, request.uncertainty_samples)
+                deformation = self._deformation(
+                    body.occupancy, conditions, request.uncertainty_samples, smooth=body.smooth
+                )
                 answers = iter(zip(deformation.probability, deformation.displacement, strict=True))
             threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
             return tuple(

@@ -86,12 +86,18 @@ def warp(rest: Occupancy, displacement: Displacement) -> Probability:
 
 
 class Warp:
-    """`warp` of one body, ready for any number of displacements."""
+    """`warp` of one body, ready for any number of displacements.
 
-    def __init__(self, rest: Occupancy) -> None:
+    Args:
+        rest: The body.
+        smooth: Its smoothed occupancy where that is known better than from its voxels.
+    """
+
+    def __init__(self, rest: Occupancy, smooth: Probability | None = None) -> None:
         self._box = _box(rest) if rest.any() else None
         if self._box is not None:
-            self._values = smoothed(rest[tuple(slice(*ends) for ends in self._box)])
+            part = tuple(slice(*ends) for ends in self._box)
+            self._values = smoothed(rest[part]) if smooth is None else sure_of(rest[part], smooth[part])
 
     def __call__(self, displacement: Displacement) -> Probability:
         """Occupancy after one displacement."""
@@ -119,8 +125,16 @@ def smoothed(occupancy: Bool[np.ndarray, "x y z"]) -> Float32[np.ndarray, "x y z
     across = cv2.sepFilter2D(occupancy.astype(np.float32), -1, kernel, kernel, borderType=cv2.BORDER_CONSTANT)
     size = occupancy.shape[2]
     along = sum(weight * np.eye(size, k=k, dtype=np.float32) for k, weight in zip((-1, 0, 1), kernel, strict=True))
+    along[0, 0] += kernel[0]  # on the floor, where the grid ends, a body that stands there goes on
     values = across.reshape(-1, size) @ along
     values = values.reshape(occupancy.shape)
+    return sure_of(occupancy, values)
+
+
+def sure_of(
+    occupancy: Bool[np.ndarray, "x y z"], values: Float32[np.ndarray, "x y z"]
+) -> Float32[np.ndarray, "x y z"]:
+    """The values, above one half by `SURE` at least in the body and below it by as much outside."""
     sure = np.float32(SURE)
     return np.asarray(np.where(occupancy, np.maximum(values, 0.5 + sure), np.minimum(values, 0.5 - sure)), np.float32)
 

@@ -10,7 +10,7 @@ import numpy as np
 import onnxruntime
 from jaxtyping import Float32
 
-from service.core.arrays import Occupancy
+from service.core.arrays import Occupancy, Probability
 from service.core.condition import CONDITION_FIELDS, Condition
 from service.core.displacement import at_voxels, body_box, corrected
 from service.core.lookup import Warp
@@ -66,8 +66,9 @@ class DeformationModel:
         return Prior(forward, backward)
 
     def __call__(
-        self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None
-    ) -> Deformation:
+        self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,
+        smooth: Probability | None = None,
+    ) -> Deformation:  # fmt: skip
         """Deform one body under each of n loads.
 
         Args:
@@ -76,12 +77,13 @@ class DeformationModel:
             samples: 0 takes the latent's mean; more averages the answers over that many draws of it (fixed seed, so
                 that a question asked twice has one answer).
             prior: Of these loads, if it is known already.
+            smooth: See `service.core.lookup.Warp`.
         """
         prior = prior or self.prior(rest, conditions)
         inputs = {
             "rest": rest.astype(np.float32)[None, None], "condition": np.stack(conditions), "prior": prior.forward,
         }  # fmt: skip
-        deform, box = Warp(rest), body_box(rest)
+        deform, box = Warp(rest, smooth), body_box(rest)
 
         def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
             (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})

@@ -9,6 +9,7 @@ import pytest
 from service.core.camera import project
 from service.core.errors import ContactOffBody, EmptyObject, InvalidRequest, ReconstructionGone
 from service.core.grids import pack_bits
+from service.core.lookup import smoothed
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
@@ -20,7 +21,7 @@ from service.core.messages import (
     Observation,
 )
 from service.inference.registry import Models
-from service.pipeline import Body, Pipeline
+from service.pipeline import Body, Pipeline, Stopwatch
 from service.reconstructions import Reconstructions
 from tests.poses import pose
 from tests.synthetic_scenes import CAMERA, Box, TableScene, render
@@ -322,3 +323,16 @@ def test_where_nothing_is_kept_there_is_no_id(pipeline: Pipeline, answer: Deform
     assert answer.reconstruction_id is None
     with pytest.raises(ReconstructionGone):
         pipeline.predict(replace(brick(), source=EarlierReconstruction("0" * 32)))
+
+
+def test_a_known_shape_is_smoothed_in_its_own_grid(pipeline: Pipeline) -> None:
+    """What is looked up after a push knows the surface as the given voxels tell it, not as those of the reply do."""
+    given = KnownShape(pack_bits(BRICK).tobytes(), BRICK_PITCH_M, BRICK_POSE)
+    body, _ = pipeline._place(given, (), Stopwatch())
+    assert body.smooth is not None
+    between = (body.smooth > 0.02) & (body.smooth < 0.98)
+    again = smoothed(body.occupancy)
+    assert np.abs(body.smooth - again)[between].max() > 0.02
+    # Both tell the same body but for its edges, which smoothing rounds.
+    assert ((body.smooth > 0.5) ^ body.occupancy).sum() < 0.05 * body.occupancy.sum()
+    assert body.nbytes > body.smooth.nbytes + body.probability.nbytes

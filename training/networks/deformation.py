@@ -266,6 +266,8 @@ def smoothed(occupancy: Float[Tensor, "bodies 1 64 64 64"]) -> Float[Tensor, "bo
         mean = 0.5 * values
         mean.narrow(axis, 1, size - 1).add_(values.narrow(axis, 0, size - 1), alpha=0.25)
         mean.narrow(axis, 0, size - 1).add_(values.narrow(axis, 1, size - 1), alpha=0.25)
+        if axis == 4:
+            mean.narrow(axis, 0, 1).add_(values.narrow(axis, 0, 1), alpha=0.25)
         values = mean
     return torch.where(occupancy > 0.5, values.clamp(min=0.5 + SURE), values.clamp(max=0.5 - SURE))
 
