@@ -216,7 +216,7 @@ def test_a_wrong_tensor_is_told(triton, latent):
     assert "`condition` is of datatype FP32" in asked(condition=PUSH.astype(np.float64))
     assert "`noise` is missing" in asked(noise=None)
     assert "no input `mass`" in asked(mass=PUSH)
-    many = {name: array.repeat(500, axis=0) for name, array in push(latent).items() if name != "rest"}
+    many = {name: array.repeat(150, axis=0) for name, array in push(latent).items() if name != "rest"}
     assert "this service takes" in asked(**many)
     wrong = library.InferRequestedOutput("stress")
     assert "no output `stress`" in refused(
