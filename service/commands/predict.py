@@ -115,15 +115,10 @@ def _ask_service(url: str, question: Question, settings: Settings) -> Result:
 
 def _ask_here(question: Question, settings: Settings) -> Result:
     """The answer of the embedded predictor: the question as a robot would post it, and the reply that it would get."""
-    from service.api import convert
     from service.app import build_pipeline
-    from service.client import http_wire
+    from service.replay.embedded import answer
 
-    body = convert.parse_body(json.dumps(http_wire.body(question)).encode())
-    request = convert.deform_request(body, settings.max_loads, http_wire.files(question))
-    answer = build_pipeline(settings).predictor.predict(request)
-    document = convert.reply_document(answer, request.outputs, uuid.uuid4().hex)
-    return http_wire.result({**document, "timing_ms": answer.timing_ms})
+    return answer(build_pipeline(settings).predictor, question, settings.max_loads)
 
 
 def _tell_refusal(error: Exception, as_json: bool, terminal: Terminal) -> int:

@@ -17,6 +17,20 @@ from service.scheduler import Predictor
 from service.settings import Settings
 
 
+def answer(predictor: Predictor, question: Question, max_loads: int) -> Result:
+    """A predictor's answer to a question as a robot would post it, in the reply that it would get.
+
+    Raises:
+        PhysNetError: What is wrong with it.
+        ValidationFailed: All that is wrong with its form.
+    """
+    body = convert.parse_body(json.dumps(http_wire.body(question)).encode())
+    request = convert.deform_request(body, max_loads, http_wire.files(question))
+    answered = predictor.predict(request)
+    document = convert.reply_document(answered, request.outputs, uuid.uuid4().hex)
+    return http_wire.result({**document, "timing_ms": answered.timing_ms})
+
+
 class EmbeddedClient:
     """Answers here.
 
@@ -39,13 +53,9 @@ class EmbeddedClient:
             PhysNetError: What is wrong with it.
         """
         try:
-            body = convert.parse_body(json.dumps(http_wire.body(question)).encode())
-            request = convert.deform_request(body, self._settings.max_loads, http_wire.files(question))
+            return answer(self._predictor, question, self._settings.max_loads)
         except ValidationFailed as failed:
             raise failed.error from None
-        answer = self._predictor.predict(request)
-        document = convert.reply_document(answer, request.outputs, uuid.uuid4().hex)
-        return http_wire.result({**document, "timing_ms": answer.timing_ms})
 
     def stream(self, *, backlog: int = BACKLOG, with_skipped: bool = False) -> FrameStream:
         """A stream in which the newest frame wins."""
