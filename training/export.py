@@ -20,9 +20,10 @@ from torch import Tensor, nn
 from service.core.condition import CONDITION_FIELDS
 from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
+from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
-from training.networks.deformation import LATTICE_SIZE, DeformationNetwork, shrunk
+from training.networks.deformation import DeformationNetwork, shrunk
 from training.networks.reconstruction import ReconstructionNetwork
 
 OPSET = 20

@@ -10,9 +10,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy
-
-FIELD_SIZE = 32
-"""Nodes of a backward field along each edge; node i lies at (i + ½)/32."""
+from service.core.prior_field import FIELD_SIZE, interpolation
 
 Field = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
 Voxels = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
@@ -97,16 +95,6 @@ def at_voxels(field: Field, rest: Occupancy) -> Voxels:
     return fine
 
 
-def _upsampling() -> Float32[np.ndarray, "voxels nodes"]:
-    """Linear interpolation from the nodes of a field to the centres of voxels, held at the ends."""
-    place = np.clip((np.arange(GRID_SIZE) + 0.5) * FIELD_SIZE / GRID_SIZE - 0.5, 0.0, FIELD_SIZE - 1.0)
-    below = np.minimum(np.floor(place).astype(int), FIELD_SIZE - 2)
-    table = np.zeros((GRID_SIZE, FIELD_SIZE), np.float32)
-    table[np.arange(GRID_SIZE), below] = 1.0 - (place - below)
-    table[np.arange(GRID_SIZE), below + 1] = place - below
-    return table
-
-
-_UPSAMPLING = _upsampling()
+_UPSAMPLING = interpolation(FIELD_SIZE, GRID_SIZE, continued=False)
 _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 _CENTRES: Field = np.stack(np.meshgrid(_STEPS, _STEPS, _STEPS, indexing="ij"))

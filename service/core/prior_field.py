@@ -185,7 +185,7 @@ def _refine(values: Float32[np.ndarray, "loads 3 cells"], out: Fields) -> None:
     np.matmul(_TO_FIELD, along_y.reshape(-1, old, new * new), out=out.reshape(3 * loads, new, new * new))
 
 
-def _interpolation(coarse: int, fine: int, continued: bool) -> Float32[np.ndarray, "fine coarse"]:
+def interpolation(coarse: int, fine: int, continued: bool) -> Float32[np.ndarray, "fine coarse"]:
     """Linear interpolation from the centres of `coarse` cells to those of `fine`; past the last continued or held."""
     place = (np.arange(fine) + 0.5) * coarse / fine - 0.5
     if not continued:
@@ -197,8 +197,8 @@ def _interpolation(coarse: int, fine: int, continued: bool) -> Float32[np.ndarra
     return table
 
 
-_TO_FIELD = _interpolation(_SPLAT_SIZE, FIELD_SIZE, continued=True)
-_SPREADING = _interpolation(_COARSE_SIZE, _SPLAT_SIZE, continued=False)
+_TO_FIELD = interpolation(_SPLAT_SIZE, FIELD_SIZE, continued=True)
+_SPREADING = interpolation(_COARSE_SIZE, _SPLAT_SIZE, continued=False)
 _EVALUATION = np.hstack(
     [_SPREADING, ((np.arange(_SPLAT_SIZE) + 0.5) / _SPLAT_SIZE).astype(np.float32)[:, None] * _SPREADING]
 )

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float16, Float32, Int, UInt8
 
+from service.core.grids import unpack_bits
 from service.core.prior import ElasticPrior
+from service.core.prior_field import FIELD_SIZE
 from service.core.prior_lattice import LATTICE_SIZE
 
 FORWARD = (3, LATTICE_SIZE, LATTICE_SIZE, LATTICE_SIZE)
-BACKWARD = (3, 32, 32, 32)
+BACKWARD = (3, FIELD_SIZE, FIELD_SIZE, FIELD_SIZE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +43,7 @@ class Priors:
 
     def _solve(self, body: int) -> None:
         """All samples of a body, those of one Poisson's ratio at once."""
-        occupancy = np.unpackbits(self.rest[body], bitorder="little").reshape(64, 64, 64) > 0
+        occupancy = unpack_bits(self.rest[body])
         own = np.flatnonzero(self.body == body)
         for ratio in np.unique(self.condition[own, 7]):
             rows = own[self.condition[own, 7] == ratio]

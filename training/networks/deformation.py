@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.core.lookup import SURE
+from service.core.prior_lattice import LATTICE_SIZE
 from training.networks.blocks import (
     LEAKY_SLOPE,
     ConvBlock,
@@ -32,9 +33,6 @@ from training.networks.conditions import PLANES, SERVED_CENTRE, SERVED_SCALE, co
 
 BLOCK = 4
 STEM_CHANNELS = 32
-LATTICE_SIZE = 16
-"""The correction and the prior that the network reads have 16³ nodes; node i lies at (i + ½)/16."""
-
 CLAMP_HEIGHT = 4.0 / 64.0
 """The body is clamped on the floor: the correction is scaled by tanh(z / this), in edges of the grid."""
 
