@@ -185,6 +185,17 @@ def _answer(
     raise TypeError(f"{type(network).__name__} cannot be judged on a {type(samples).__name__}")
 
 
+def as_served(
+    network: Deforming, validation: DeformationSet, threshold: float | None = None
+) -> tuple[Deforming, float, Figures]:
+    """The network with the share of its correction that is served, its threshold, and what was tuned of the share."""
+    tuned: Figures = {}
+    if isinstance(network, DeformationNetwork) and network.config.prior:
+        tuned["correction_share"] = tune_share(network, validation)
+        network = shrunk(network, tuned["correction_share"])
+    return network, threshold or tune_threshold(network, validation), tuned
+
+
 def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None = None) -> tuple[float, dict[str, Any]]:
     """Tune the share of the correction and, unless it is given, the threshold on validation, then score a split.
 
@@ -194,12 +205,7 @@ def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None =
     network, _ = load_network(checkpoint)
     figures: Figures
     if isinstance(network, Deforming):
-        validation = DeformationSet.load(data, "validation")
-        tuned: Figures = {}
-        if isinstance(network, DeformationNetwork) and network.config.prior:
-            tuned["correction_share"] = tune_share(network, validation)
-            network = shrunk(network, tuned["correction_share"])
-        threshold = threshold or tune_threshold(network, validation)
+        network, threshold, tuned = as_served(network, DeformationSet.load(data, "validation"), threshold)
         figures = evaluate_deformation(network, DeformationSet.load(data, split), threshold) | tuned
     elif isinstance(network, Reconstructing):
         threshold = threshold or tune_threshold(network, ViewSet.load(data, "validation"))

@@ -32,17 +32,13 @@ def _compare(options: argparse.Namespace) -> int:
     from training.comparison import compare, contenders, deforming, markdown, report
     from training.data.batches import DeformationSet
     from training.data.store import StoreError
-    from training.evaluate import tune_share, tune_threshold
+    from training.evaluate import as_served
     from training.networks.checkpoint import load_network
-    from training.networks.deformation import DeformationNetwork, shrunk
 
     torch.set_num_threads(1)  # as many as a finite element solve here has
     try:
         network = deforming(load_network(options.run_folder / "checkpoint.pt")[0])
-        validation = DeformationSet.load(options.data, "validation")
-        if isinstance(network, DeformationNetwork):
-            network = shrunk(network, tune_share(network, validation))
-        threshold = tune_threshold(network, validation)
+        network, threshold, _ = as_served(network, DeformationSet.load(options.data, "validation"))
         training = DeformationSet.load(options.data, "train", prior=False)
         samples = DeformationSet.load(options.data, options.split)
         rivals = contenders(network, threshold, training, options.cells)
