@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Int, UInt8
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 
 FIELD_SIZE = 32
 """Nodes along each edge of the cube."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64, Int
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 
 DEPTHS = (1e-4, 0.02, 0.1, 0.3)
 """How far below the surface, in cell edges, the cell that carries a surface point is looked for: a hair, so that a face

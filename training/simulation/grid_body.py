@@ -15,8 +15,8 @@ from jaxtyping import Bool, Float32, Float64
 
 from service.core.arrays import GRID_SIZE, Transform
 from service.core.camera import Intrinsics
+from service.core.compiled import compiled
 from service.core.grids import Grid, invert_rigid
-from training.simulation.compiled import compiled
 from training.simulation.distance_grid import DistanceGrid
 from training.simulation.shapes import Bounds, Shape
 from training.simulation.shapes.shape import SAFETY, TRUSTED_DEPTH, sample_points

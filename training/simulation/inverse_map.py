@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Int32, UInt8, UInt32
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated
 from training.simulation.trilinear import coefficients
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64, Int
 
 from service.core.arrays import Vector3
+from service.core.compiled import compiled
 from training.simulation.body import Body
-from training.simulation.compiled import compiled
 from training.simulation.elements import GAUSS_POINTS, shape_functions
 from training.simulation.patch import surface_patch
 from training.simulation.skin import LATTICE

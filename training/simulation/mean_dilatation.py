@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 from training.simulation.elements import (
     CORNERS,
     GAUSS_POINTS,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Int32, UInt8
 
+from service.core.compiled import compiled
 from training.simulation.body import Body
-from training.simulation.compiled import compiled
 from training.simulation.elements import CORNERS
 from training.simulation.sampled import INSIDE, OUTSIDE, SampledDistance, interpolated
 

@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE
+from service.core.compiled import compiled
 from training.simulation.body import Body
-from training.simulation.compiled import compiled
 from training.simulation.inverse_map import material_points
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance
 from training.simulation.trilinear import coefficients

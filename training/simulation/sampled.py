@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, Int32, UInt8
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 from training.simulation.surface import Distance
 
 SUBSAMPLES = 4

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, Int, Int32
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 from training.simulation.sampled import SampledDistance, interpolated
 from training.simulation.surface import SHELL, shell_area, tetrahedral_gradient
 

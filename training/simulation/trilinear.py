@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from training.simulation.compiled import compiled
+from service.core.compiled import compiled
 
 Eight: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 

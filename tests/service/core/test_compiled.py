@@ -1,0 +1,41 @@
+import numba
+import numpy as np
+import pytest
+from numba.core.caching import _CacheLocator  # what every place to keep code in derives from
+
+from service.core.compiled import compiled
+
+
+def sum_of_squares(values: np.ndarray) -> float:
+    """A loop."""
+    total = 0.0
+    for value in values:
+        total += value * value
+    return total
+
+
+def test_a_function_is_compiled_and_keeps_its_meaning():
+    kernel = compiled(sum_of_squares)
+    assert isinstance(kernel, numba.core.registry.CPUDispatcher)
+    assert kernel(np.array([3.0, 4.0])) == 25.0
+    assert kernel.signatures  # machine code, not the interpreter
+
+
+def test_without_a_place_to_keep_code_in_it_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch):
+    def refuse(self: _CacheLocator) -> None:
+        raise OSError("Read-only file system")
+
+    for locator in _CacheLocator.__subclasses__():
+        monkeypatch.setattr(locator, "ensure_cache_path", refuse)
+    with pytest.raises(RuntimeError, match="cannot cache"):
+        numba.njit(cache=True)(sum_of_squares)
+    assert compiled(sum_of_squares)(np.array([3.0, 4.0])) == 25.0
+
+
+def test_the_test_runs_type_checks_do_not_hide_kernels_from_the_compiler():
+    @compiled
+    def doubled(value: float) -> float:
+        return 2.0 * value
+
+    assert isinstance(doubled, numba.core.registry.CPUDispatcher)
+    assert doubled(1.5) == 3.0
