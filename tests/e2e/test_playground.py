@@ -142,8 +142,39 @@ def test_sliders_change_the_answer_over_the_one_connection(mug: Visit):
     page.select_option("#material", "dragon_skin_10")
 
 
+def test_materials_are_found_by_typing_and_taken_by_keyboard_or_click(mug: Visit):
+    page = mug.page
+    search, listed = page.locator("#material-search"), page.locator("#material")
+    everything, before = listed.locator("option").count(), page.locator("#material").input_value()
+    assert re.fullmatch(r"Search \d+ materials", search.get_attribute("placeholder") or "")
+    search.fill("ecoflex 30")
+    assert listed.locator("option").all_inner_texts()[0].startswith("Ecoflex 00 30 ")
+    assert 1 < int(listed.get_attribute("size") or 0) <= 7
+    answers = mug.answers()
+    search.press("Enter")
+    mug.wait_for_answer(answers)
+    assert (listed.input_value(), search.input_value()) == ("ecoflex_00_30", "")
+    assert listed.locator("option").count() == everything
+    assert page.inner_text("#material-about").startswith("Soft silicone of soft robots")
+    # Words of the category and the description count; the arrow goes into the list, Escape leaves all as it was.
+    search.fill("wood")
+    search.press("ArrowDown")
+    listed.press("ArrowDown")
+    listed.press("Escape")
+    assert listed.input_value() == "ecoflex_00_30"
+    search.fill("no such thing")
+    assert listed.locator("option").all_inner_texts() == ["No material is called that"]
+    search.press("Escape")
+    search.fill(before.replace("_", " "))
+    answers = mug.answers()
+    listed.locator("option").first.click()
+    mug.wait_for_answer(answers)
+    assert listed.input_value() == before
+
+
 def test_a_click_sets_the_contact_and_a_drag_the_force(mug: Visit):
     page = mug.page
+    page.locator("#depth-stage").scroll_into_view_if_needed()
     box = page.locator("#depth-stage").bounding_box()
     zoom = box["width"] / 640
     at = (box["x"] + 330 * zoom, box["y"] + 260 * zoom)

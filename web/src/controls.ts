@@ -1,19 +1,10 @@
-/** Sliders of force and material, and the list of named materials. */
+/** Sliders of force and material, beside the list of named materials. */
 
-import { make, need } from "./dom";
+import { need } from "./dom";
 import type { Angles } from "./force";
+import { capital, MaterialList, type NamedMaterial, title } from "./material_list";
 import { Slider } from "./slider";
 import { plain, si } from "./units";
-
-export interface NamedMaterial {
-  name: string;
-  young_modulus_pa: number;
-  poisson_ratio: number;
-  young_modulus_range_pa: [number, number];
-  description: string;
-  source: string;
-  category?: string;
-}
 
 const degrees = (value: number): string => `${value.toFixed(0)}°`;
 
@@ -36,8 +27,7 @@ export class Controls {
   readonly poisson: Slider;
   readonly #turn: Slider;
   readonly #tilt: Slider;
-  readonly #select = need<HTMLSelectElement>("#material");
-  #materials = new Map<string, NamedMaterial>();
+  readonly #list: MaterialList;
 
   constructor(private readonly listeners: Listeners) {
     const turned = (): void => listeners.turn({ turn: this.#turn.value, tilt: this.#tilt.value });
@@ -63,8 +53,8 @@ export class Controls {
     }); // prettier-ignore
     need("#force-sliders").append(this.magnitude.element, this.#turn.element, this.#tilt.element);
     need("#material-sliders").append(this.modulus.element, this.poisson.element);
-    this.#select.addEventListener("change", () => {
-      this.choose(this.#select.value);
+    this.#list = new MaterialList((name) => {
+      this.choose(name);
       listeners.material();
     });
     need("#inwards").addEventListener("click", () => listeners.inwards());
@@ -76,31 +66,14 @@ export class Controls {
     this.#tilt.value = tilt;
   }
 
-  /** The list, softest first, by category where the service tells them. */
+  /** Offer these materials. */
   fill(materials: readonly NamedMaterial[]): void {
-    this.#materials = new Map(materials.map((entry) => [entry.name, entry]));
-    const groups = new Map<string, NamedMaterial[]>();
-    for (const entry of [...materials].sort((a, b) => a.young_modulus_pa - b.young_modulus_pa)) {
-      const group = entry.category ?? "";
-      groups.set(group, [...(groups.get(group) ?? []), entry]);
-    }
-    const softness = (entries: NamedMaterial[]): number => entries[Math.floor(entries.length / 2)]!.young_modulus_pa;
-    const ordered = [...groups].sort(([, a], [, b]) => softness(a) - softness(b));
-    this.#select.replaceChildren(
-      make("option", { value: "", textContent: "Custom" }),
-      ...ordered.flatMap(([group, entries]) => {
-        const options = entries.map((entry) =>
-          make("option", { value: entry.name, textContent: `${title(entry.name)} · ${si(entry.young_modulus_pa, "Pa", 2)}` }),
-        );
-        return group ? [make("optgroup", { label: title(group) }, ...options)] : options;
-      }),
-    );
+    this.#list.fill(materials);
   }
 
   /** Take a named material's numbers; an unknown name changes nothing. */
   choose(name: string): void {
-    const entry = this.#materials.get(name);
-    this.#select.value = entry ? name : "";
+    const entry = this.#list.choose(name);
     this.modulus.mark(entry ? entry.young_modulus_range_pa : null);
     const about = entry ? `${capital(entry.description)}. ${entry.source}` : "";
     Object.assign(need("#material-about"), { textContent: about, title: about });
@@ -111,18 +84,15 @@ export class Controls {
 
   /** Its numbers were changed by hand: it is that material only within its range. */
   #custom(): void {
-    const entry = this.#materials.get(this.#select.value);
+    const entry = this.#list.chosen;
     if (entry) {
       const [low, high] = entry.young_modulus_range_pa;
       const e = this.modulus.value;
       if (e < low * 0.99 || e > high * 1.01 || this.poisson.value !== entry.poisson_ratio) {
-        this.#select.value = "";
+        this.#list.choose("");
         need("#material-about").textContent = `Custom, from ${title(entry.name)} (${si(low, "Pa", 2)} to ${si(high, "Pa", 2)}, ν ${plain(entry.poisson_ratio, 2)})`;
       }
     }
     this.listeners.material();
   }
 }
-
-const capital = (text: string): string => text.charAt(0).toUpperCase() + text.slice(1);
-const title = (name: string): string => capital(name.replaceAll("_", " "));

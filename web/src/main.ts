@@ -3,13 +3,14 @@
 import "./style.css";
 import { Body, Motion } from "./body";
 import { cloudOf } from "./cloud";
-import { Controls, type NamedMaterial } from "./controls";
+import { Controls } from "./controls";
 import { DepthView } from "./depth_view";
 import { need } from "./dom";
 import { glb, ply, save } from "./download";
 import { fromAngles, toAngles } from "./force";
 import { inwardNormal, nearestReading, pointAt, project, type Camera, type Frame } from "./frame";
 import { Live, type Answer, type Problem, type Push } from "./live";
+import type { NamedMaterial } from "./material_list";
 import { Readout } from "./readout";
 import { SAMPLES, type Sample } from "./samples";
 import { listenForFiles, showSources } from "./sources";
