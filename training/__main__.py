@@ -30,6 +30,7 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--steps", type=int, help="optimizer steps in all")
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)
+    fit.add_argument("--init-from", type=Path, metavar="RUN", help="begin with the weights of another run that fit")
     fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     fit.set_defaults(run=_fit)
 
@@ -69,12 +70,13 @@ def _fit(options: argparse.Namespace) -> int:
     torch.set_num_threads(options.threads)
     changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
+    begin_from = options.init_from / "checkpoint.pt" if options.init_from else None
     try:
         if options.network == "deformation":
-            fit_deformation(options.data, run, chosen(DEFORMATION_PRESETS, options.preset, **changes))
+            fit_deformation(options.data, run, chosen(DEFORMATION_PRESETS, options.preset, **changes), begin_from)
         else:
-            fit_reconstruction(options.data, run, chosen(RECONSTRUCTION_PRESETS, options.preset, **changes))
-    except (ConfigError, RunError, StoreError) as error:
+            fit_reconstruction(options.data, run, chosen(RECONSTRUCTION_PRESETS, options.preset, **changes), begin_from)
+    except (ConfigError, RunError, StoreError, FileNotFoundError, ValueError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:

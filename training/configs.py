@@ -82,6 +82,7 @@ class FitConfig:
         optimizer: Of the generator.
         adversary: None trains without a critic.
         alpha: α of the modified cross-entropy.
+        begun_from: The run, and what it had seen, whose weights this one began with; None for random ones.
         validation_samples: An evenly spread part of the validation split.
     """
 
@@ -90,6 +91,7 @@ class FitConfig:
     optimizer: OptimizerConfig = OptimizerConfig()
     adversary: AdversaryConfig | None = None
     alpha: float = 0.5
+    begun_from: str | None = None
     validate_every: int = 500
     validation_samples: int = 200
 

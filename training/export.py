@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import json
 import tempfile
@@ -16,6 +17,7 @@ import onnxruntime
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from service.core.condition import CONDITION_FIELDS
 from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
@@ -24,7 +26,7 @@ from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork, shrunk
-from training.networks.reconstruction import ReconstructionNetwork
+from training.networks.reconstruction import Coarser, ReconstructionNetwork
 
 OPSET = 20
 PARITY_TOLERANCE = 1e-4
@@ -183,8 +185,9 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
         # What tracing might freeze, the number of loads above all, would show in that comparison.
         warnings.filterwarnings("ignore", category=torch.jit.TracerWarning)  # type: ignore[attr-defined]
         torch.onnx.export(
-            graph, example, str(path), input_names=list(tensors.inputs), output_names=list(tensors.outputs),
-            opset_version=OPSET, dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
+            _without_norms(graph), example, str(path),
+            input_names=list(tensors.inputs), output_names=list(tensors.outputs), opset_version=OPSET,
+            dynamo=False, dynamic_axes={name: axes for name, axes in free.items() if axes},
         )  # fmt: skip
     model = onnx.load(str(path))
     for value in (*model.graph.input, *model.graph.output):
@@ -198,6 +201,15 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
                 dimension.dim_value = size
     onnx.checker.check_model(model, full_check=True)
     onnx.save(model, str(path))
+
+
+def _without_norms(graph: nn.Module) -> nn.Module:
+    """The same with normalisations in their convolutions; those of convolutions proper the exporter folds itself."""
+    graph = copy.deepcopy(graph)
+    for block in [module for module in graph.modules() if isinstance(module, Coarser)]:
+        block.conv = fuse_conv_bn_eval(block.conv, block.norm)
+        block.norm = nn.Identity()
+    return graph
 
 
 def _difference(graph: nn.Module, tensors: Tensors, path: Path, seed: int) -> float:

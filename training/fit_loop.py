@@ -21,7 +21,8 @@ class Learner:
     def __init__(self, network: nn.Module, config: OptimizerConfig, steps: int) -> None:
         self.network = network
         self.optimizer = torch.optim.AdamW(
-            network.parameters(), lr=config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
+            network.parameters(), lr=config.learning_rate, betas=config.betas, weight_decay=config.weight_decay,
+            fused=True,
         )
         self.schedule: torch.optim.lr_scheduler.LRScheduler
         if config.warm_up:

@@ -41,7 +41,7 @@ class KilledAt(Run):
 
 @dataclasses.dataclass(frozen=True)
 class Program:
-    fit: Callable[[Path, Run, Any], None]
+    fit: Callable[..., None]
     config: Any
     data: Path
 
@@ -124,6 +124,24 @@ def test_a_killed_run_goes_on_to_the_very_same_state(any_program: Program, tmp_p
     assert not different
     assert [row["step"] for row in log(tmp_path / "whole")] == [str(half), str(2 * half)]
     assert log(tmp_path / "whole") == log(tmp_path / "killed")
+
+
+def test_a_run_may_begin_with_the_weights_of_another_and_says_so(program: Program, tmp_path: Path) -> None:
+    """One that was killed goes on only with the same beginning, to the very same state."""
+    program.fit(program.data, Run(tmp_path / "first"), program.config)
+    config, begin = replace(program.config, seed=9), tmp_path / "first" / "checkpoint.pt"
+    program.fit(program.data, Run(tmp_path / "second"), config, begin)
+    with pytest.raises(Killed):
+        program.fit(program.data, KilledAt(tmp_path / "killed", config.validate_every + 1), config, begin)
+    with pytest.raises(RunError, match="begun_from"):
+        program.fit(program.data, Run(tmp_path / "killed"), config)
+    program.fit(program.data, Run(tmp_path / "killed"), config, begin)
+    second, killed = weights(tmp_path / "second"), weights(tmp_path / "killed")
+    assert all(torch.equal(second[name], killed[name]) for name in second)
+    saved = torch.load(tmp_path / "second" / "checkpoint.pt", weights_only=True)["config"]["begun_from"]
+    assert saved.startswith(f"first at step {config.steps}, trained on sha256:")
+    program.fit(program.data, Run(tmp_path / "random"), config)
+    assert any(not torch.equal(second[name], other) for name, other in weights(tmp_path / "random").items())
 
 
 def test_the_critic_changes_what_the_generator_learns(deformations: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@ import pytest
 import torch
 
 from training.losses import (
+    OccupancyLosses,
     beta_at,
     generator_adversarial_loss,
     gradient_penalty,
@@ -51,6 +52,29 @@ def test_soft_iou_by_hand() -> None:
     sure = torch.tensor([[[30.0, -30.0]], [[30.0, -30.0]]])
     assert float(soft_iou_loss(sure, torch.tensor([[[1.0, 0.0]], [[0.0, 1.0]]]))) == pytest.approx(0.5)
     assert float(soft_iou_loss(sure, torch.zeros(2, 1, 2))) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("alpha", [0.5, 0.85])
+def test_both_losses_of_occupancy_slope_as_torch_says(alpha: float) -> None:
+    """In one pass, of any share of one and the other, and nowhere where it is free."""
+    generator = torch.Generator().manual_seed(0)
+    logits = 3 * torch.randn(3, 4, 5, 6, generator=generator)
+    target = (torch.rand(3, 4, 5, 6, generator=generator) < 0.3).float()
+    free = torch.rand(3, 4, 5, 6, generator=generator) < 0.4
+    slopes, values = [], []
+    for plain in (True, False):
+        given = logits.clone().requires_grad_()
+        if plain:
+            said, wanted = given.masked_fill(free, -40.0), target.masked_fill(free, 0.0)
+            losses = modified_bce_with_logits(said, wanted, alpha), soft_iou_loss(said, wanted)
+        else:
+            losses = OccupancyLosses.apply(given, target, free, alpha)
+        (0.7 * losses[0] + 0.2 * losses[1]).backward()
+        slopes.append(given.grad)
+        values.append(torch.stack(list(losses)).detach())
+    torch.testing.assert_close(values[1], values[0])
+    torch.testing.assert_close(slopes[1], slopes[0])
+    assert slopes[1] is not None and not slopes[1][free].any()
 
 
 def test_kl_by_hand() -> None:

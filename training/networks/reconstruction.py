@@ -27,10 +27,12 @@ class ReconstructionConfig:
     Attributes:
         channels: On the way down and up.
         blocks: Residual blocks on the way down; up there is one at each size.
+        detail: Features of every single column, through which the view reaches the answer at full resolution.
     """
 
     channels: tuple[int, int, int, int] = (48, 128, 192, 224)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 2)
+    detail: int = 32
 
 
 class PlaneBlock(nn.Module):
@@ -60,17 +62,47 @@ class ResidualPlaneBlock(nn.Module):
         return y
 
 
+class Coarser(nn.Module):
+    """Half the resolution by a 2² convolution of stride 2, as one product of matrices, of channels that lie last."""
+
+    def __init__(self, inputs: int, outputs: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(inputs, outputs, 2, 2, bias=False)
+        self.norm: nn.Module = nn.BatchNorm2d(outputs)
+        self.activation = nn.LeakyReLU(LEAKY_SLOPE)
+
+    def forward(self, x: Float[Tensor, "batch width depth inputs"]) -> Float[Tensor, "batch outputs x y"]:
+        batch, width, depth, channels = x.shape
+        parts = x.reshape(batch, width // 2, 2, depth // 2, 2, channels).permute(0, 1, 3, 2, 4, 5)
+        weight = self.conv.weight.permute(0, 2, 3, 1).flatten(1)
+        y = nn.functional.linear(parts.flatten(3), weight, self.conv.bias)
+        z: Tensor = self.activation(self.norm(y.permute(0, 3, 1, 2)))
+        return z
+
+
 class Finer(nn.Module):
     """Twice the resolution: every pixel speaks for its four parts."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
         self.conv = nn.Conv2d(inputs, 4 * outputs, 1)
-        self.unfold = nn.PixelShuffle(2)
 
-    def forward(self, x: Tensor) -> Tensor:
-        y: Tensor = self.unfold(self.conv(x))
-        return y
+    def forward(self, x: Float[Tensor, "batch inputs x y"]) -> Float[Tensor, "batch outputs width depth"]:
+        return spoken(x.permute(0, 2, 3, 1), self.conv).permute(0, 3, 1, 2)
+
+
+def spoken(x: Float[Tensor, "batch x y inputs"], conv: nn.Conv2d) -> Float[Tensor, "batch width depth outputs"]:
+    """What every pixel says of its four parts by a 1² convolution. Channels lie last.
+
+    The answers for a pixel's parts stand next to each other in the weights, as in PyTorch's pixel shuffle; with the
+    part put first, all that is said of it is carried to its place in one piece.
+    """
+    batch, width, depth, _ = x.shape
+    outputs = conv.out_channels // 4
+    weight = conv.weight.reshape(outputs, 4, -1).transpose(0, 1).flatten(0, 1)
+    bias = None if conv.bias is None else conv.bias.reshape(outputs, 4).T.flatten()
+    parts = nn.functional.linear(x, weight, bias).reshape(batch, width, depth, 2, 2, outputs)
+    return parts.permute(0, 1, 3, 2, 4, 5).reshape(batch, 2 * width, 2 * depth, outputs)
 
 
 class ReconstructionNetwork(nn.Module):
@@ -84,8 +116,11 @@ class ReconstructionNetwork(nn.Module):
         self.config = config
         inputs = (2 * SIZE, *config.channels)
         self.down = nn.ModuleList(
-            nn.Sequential(PlaneBlock(coming, going, 2, 2), *[ResidualPlaneBlock(going) for _ in range(blocks)])
-            for coming, going, blocks in zip(inputs, config.channels, config.blocks, strict=False)
+            nn.Sequential(
+                Coarser(coming, going) if level == 0 else PlaneBlock(coming, going, 2, 2),
+                *[ResidualPlaneBlock(going) for _ in range(blocks)],
+            )
+            for level, (coming, going, blocks) in enumerate(zip(inputs, config.channels, config.blocks, strict=False))
         )
         pairs = list(zip(config.channels[1:], config.channels, strict=False))[::-1]
         self.up = nn.ModuleList(Finer(coarse, fine) for coarse, fine in pairs)
@@ -93,11 +128,16 @@ class ReconstructionNetwork(nn.Module):
             nn.Sequential(PlaneBlock(2 * fine, fine, 1), ResidualPlaneBlock(fine)) for _, fine in pairs
         )
         self.head = nn.Sequential(nn.Conv2d(config.channels[0], 4 * SIZE, 1))
-        self.unfold = nn.PixelShuffle(2)
+        self.seen = nn.Linear(2 * SIZE, config.detail)
+        self.spread = nn.Conv2d(config.channels[0], 4 * config.detail, 1, bias=False)
+        self.activation = nn.LeakyReLU(LEAKY_SLOPE)
+        self.detail = nn.Linear(config.detail, SIZE, bias=False)
+        nn.init.zeros_(self.detail.weight)  # the coarse features answer first
 
     def forward(self, view: Float[Tensor, "batch 2 64 64 64"]) -> Float[Tensor, "batch 64 64 64"]:
         """Logits. `view` holds 1 where a voxel is observed (channel 0) or free (channel 1)."""
-        x = view.permute(0, 1, 4, 2, 3).flatten(1, 2)
+        columns = view.permute(0, 2, 3, 1, 4).flatten(3)
+        x: Tensor = columns
         passed = []
         for down in self.down:
             x = down(x)
@@ -105,5 +145,7 @@ class ReconstructionNetwork(nn.Module):
         passed.pop()
         for up, merge in zip(self.up, self.merge, strict=True):
             x = merge(torch.cat([up(x), passed.pop()], dim=1))
-        logits: Tensor = self.unfold(self.head(x)).permute(0, 2, 3, 1)
+        x = x.permute(0, 2, 3, 1)
+        column = self.activation(self.seen(columns) + spoken(x, self.spread))
+        logits: Tensor = spoken(x, self.head[0]) + self.detail(column)
         return logits

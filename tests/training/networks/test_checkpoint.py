@@ -6,7 +6,7 @@ import torch
 
 from tests.training import tiny
 from training.networks.build import build_saved
-from training.networks.checkpoint import load_network
+from training.networks.checkpoint import load_network, take_weights
 from training.networks.deformation import DeformationNetwork
 from training.networks.physnet import PhysNet
 from training.networks.recgan import RecGan
@@ -47,6 +47,27 @@ def test_the_papers_networks_come_back_with_their_encoding(tmp_path: Path) -> No
     loaded, _ = load_network(tiny.save_checkpoint(RecGan(tiny.RECGAN), config, tmp_path / "recgan"))
     assert isinstance(loaded, RecGan)
     assert loaded.config == tiny.RECGAN
+
+
+def test_weights_are_taken_where_they_fit(tmp_path: Path) -> None:
+    """A head of another width stays as it was; the account names run, step, data and how much was taken."""
+    checkpoint = tiny.save_checkpoint(tiny.reconstruction_network(), tiny.FIT_RECONSTRUCTION, tmp_path / "first")
+    torch.manual_seed(5)
+    wider = ReconstructionNetwork(dataclasses.replace(tiny.RECONSTRUCTION, detail=7))
+    before, source = wider.detail.weight.clone(), torch.load(checkpoint, weights_only=True)["network"]
+    account = take_weights(wider, checkpoint)
+    own = wider.state_dict()
+    taken = [name for name in own if source[name].shape == own[name].shape]
+    assert all(torch.equal(own[name], source[name]) for name in taken)
+    assert torch.equal(wider.detail.weight, before)
+    assert account == f"first at step 7, trained on sha256:0: {len(taken)} of {len(own)} tensors"
+    assert 0 < len(taken) < len(own)
+
+
+def test_weights_of_another_kind_are_refused(tmp_path: Path) -> None:
+    checkpoint = tiny.save_checkpoint(tiny.deformation_network(), tiny.FIT_DEFORMATION, tmp_path)
+    with pytest.raises(ValueError, match=r"no weight of .*checkpoint\.pt fits this network"):
+        take_weights(torch.nn.Linear(2, 2), checkpoint)
 
 
 def test_a_configuration_of_no_network_is_named() -> None:

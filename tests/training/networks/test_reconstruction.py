@@ -1,7 +1,7 @@
 import torch
 
 from tests.training import tiny
-from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.networks.reconstruction import Coarser, ReconstructionConfig, ReconstructionNetwork, spoken
 
 
 def test_a_logit_for_every_voxel() -> None:
@@ -50,3 +50,36 @@ def test_the_shipped_size_stays_within_its_budget() -> None:
     """12 MB of weights at 4 bytes each."""
     network = ReconstructionNetwork(ReconstructionConfig())
     assert sum(weight.numel() for weight in network.parameters()) < 3.2e6
+
+
+def test_the_view_reaches_the_answer_at_full_resolution() -> None:
+    """With the coarse features switched off, a column's logits follow from what was seen of that column alone."""
+    network = tiny.reconstruction_network()
+    with torch.no_grad():
+        for part in (network.head, network.spread):
+            for weight in part.parameters():
+                weight.zero_()
+        torch.nn.init.normal_(network.detail.weight)
+        empty = torch.zeros(1, 2, 64, 64, 64)
+        dot = empty.clone()
+        dot[0, 0, 21, 34, 20:24] = 1.0
+        change = (network(dot) - network(empty))[0].abs().sum(dim=2)
+    assert change[21, 34] > 1e-3
+    change[21, 34] = 0.0
+    assert not change.any()
+
+
+def test_parts_of_a_pixel_lie_as_pixel_shuffle_lays_them() -> None:
+    torch.manual_seed(0)
+    conv = torch.nn.Conv2d(3, 8, 1)
+    x = torch.randn(2, 3, 4, 6)
+    expected = torch.nn.functional.pixel_shuffle(conv(x), 2).permute(0, 2, 3, 1)
+    torch.testing.assert_close(spoken(x.permute(0, 2, 3, 1), conv), expected)
+
+
+def test_coarser_is_a_convolution_of_stride_two() -> None:
+    torch.manual_seed(0)
+    block = Coarser(3, 5).eval()
+    x = torch.randn(2, 3, 8, 6)
+    expected = torch.nn.functional.leaky_relu(block.norm(block.conv(x)), 0.2)
+    torch.testing.assert_close(block(x.permute(0, 2, 3, 1)), expected)
