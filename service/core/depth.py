@@ -13,9 +13,10 @@ import struct
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float32, Shaped
 
 from service.core.arrays import DepthImage, Mask
+from service.core.compiled import compiled
 from service.core.errors import EmptyObject, InvalidFrame
 from service.core.limits import DEFAULT_LIMITS, FrameLimits, check_bytes, check_size
 from service.core.png import PNG_SIGNATURE, decode_grey_png
@@ -79,7 +80,7 @@ def decode_depth(
     counts = decoder(encoding, data, width, height, limits)
     default_unit_m = INTEGER_UNIT_M if counts.dtype.kind == "u" else FLOAT_UNIT_M
     depth_m = _to_metres(counts, default_unit_m if unit_m is None else unit_m)
-    if np.isnan(depth_m).all():
+    if _keep_readings(depth_m.reshape(-1)) == 0:
         raise InvalidFrame("The depth image holds no valid reading.", field="depth", expected="a reading", actual=0)
     return depth_m
 
@@ -113,19 +114,24 @@ def decode_mask(
 
 
 def _to_metres(counts: Shaped[np.ndarray, "height width"], unit_m: float) -> DepthImage:
-    if counts.dtype.kind == "u":
-        depth_m = counts.astype(np.float32)
-        depth_m *= np.float32(unit_m)
-        invalid = counts == 0
-    else:
-        # An overflow to infinity on the way to float32 is caught as an invalid reading.
-        with np.errstate(over="ignore", invalid="ignore"):
-            depth_m = counts.astype(np.float32)
-            if unit_m != 1.0:
-                depth_m *= np.float32(unit_m)
-            invalid = ~((depth_m > 0.0) & (depth_m < np.inf))
-    np.copyto(depth_m, np.float32(np.nan), where=invalid)
+    """Counts times their unit, in an array of its own."""
+    # An overflow to infinity on the way to float32 is no reading.
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth_m = counts.astype(np.float32, order="C")
+        if unit_m != 1.0:
+            depth_m *= np.float32(unit_m)
     return depth_m
+
+
+@compiled
+def _keep_readings(depth_m: Float32[np.ndarray, " pixels"]) -> int:
+    """Put NaN in place of whatever is no positive, finite number of metres; returns how many readings there are."""
+    readings = 0
+    for pixel in range(len(depth_m)):
+        is_reading = (depth_m[pixel] > np.float32(0.0)) & (depth_m[pixel] < np.float32(np.inf))
+        readings += is_reading
+        depth_m[pixel] = depth_m[pixel] if is_reading else np.float32(np.nan)
+    return readings
 
 
 def _decode_png16(

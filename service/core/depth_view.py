@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float32
 
-from service.core.arrays import DepthImage, Mask, Points, Vector3
+from service.core.arrays import DepthImage, Mask, Points
 from service.core.camera import Intrinsics, ray_grid
+from service.core.compiled import compiled
 
 Window: TypeAlias = tuple[slice, slice]
 """Rows and columns of an image."""
@@ -42,35 +44,21 @@ class DepthView:
     first_pixel: tuple[int, int]
     stride: int
 
-    def heights_m(self, normal: Vector3, offset_m: float) -> Float32[np.ndarray, "rows columns"]:
-        """Signed height of every reading above a plane, metres; NaN where there is no reading."""
-        nx, ny, nz = (np.float32(component) for component in normal)
-        heights_m = nx * self.ray_x
-        heights_m += ny * self.ray_y
-        heights_m += nz
-        heights_m *= self.z_m
-        heights_m += np.float32(offset_m)
-        return heights_m
-
     def points(self, where: Bool[np.ndarray, "rows columns"]) -> Points:
         """Points of the chosen readings in row-major order, camera frame, metres."""
-        chosen = np.flatnonzero(where)
-        points = np.empty((len(chosen), 3), np.float32)
-        z_m = self.z_m.ravel()[chosen]
-        np.multiply(self.ray_x.ravel()[chosen], z_m, out=points[:, 0])
-        np.multiply(self.ray_y.ravel()[chosen], z_m, out=points[:, 1])
-        points[:, 2] = z_m
+        points = np.empty((np.count_nonzero(where), 3), np.float32)
+        _gather(self.z_m, self.ray_x, self.ray_y, where, points)
         return points
 
-    def pixels(
-        self, where: Bool[np.ndarray, "rows columns"]
-    ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """(rows, columns) in the whole image of the chosen readings, in row-major order."""
-        rows, columns = where.shape
-        # Counting along rows spares an integer division for each pixel.
-        row = np.repeat(np.arange(rows), np.count_nonzero(where, axis=1))
-        column = np.flatnonzero(where) - row * columns
-        return row * self.stride + self.first_pixel[0], column * self.stride + self.first_pixel[1]
+    def distances_px(
+        self, where: Bool[np.ndarray, "rows columns"], row: float, column: float
+    ) -> Float32[np.ndarray, " n"]:
+        """Distance of the chosen readings, in row-major order, from a place in the whole image, pixels."""
+        distances_px = np.empty(np.count_nonzero(where), np.float32)
+        first_row, first_column = self.first_pixel
+        to_row, to_column = (row - first_row) / self.stride, (column - first_column) / self.stride
+        _measure(where, to_row, to_column, float(self.stride), distances_px)
+        return distances_px
 
     def part(self, window: Window) -> DepthView:
         """A window of the view itself."""
@@ -106,10 +94,44 @@ def _thinned_rays(
     intrinsics: Intrinsics, stride: int
 ) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
     """Rays of every `stride`-th pixel, gathered once for a camera: strided reads cost more than the arithmetic."""
-    ray_x, ray_y = (np.ascontiguousarray(image[::stride, ::stride]) for image in ray_grid(intrinsics))
-    ray_x.flags.writeable = False
-    ray_y.flags.writeable = False
+    # Copies that could be written, as all other rays of a view: kernels are compiled once more for read-only arrays.
+    ray_x, ray_y = (image[::stride, ::stride].copy() for image in ray_grid(intrinsics))
     return ray_x, ray_y
+
+
+@compiled
+def _measure(
+    where: Bool[np.ndarray, "rows columns"],
+    to_row: float,
+    to_column: float,
+    stride: float,
+    distances_px: Float32[np.ndarray, " n"],
+) -> None:
+    n = 0
+    for row in range(where.shape[0]):
+        for column in range(where.shape[1]):
+            if where[row, column]:
+                distances_px[n] = stride * math.sqrt((row - to_row) ** 2 + (column - to_column) ** 2)
+                n += 1
+
+
+@compiled
+def _gather(
+    z_m: Float32[np.ndarray, "rows columns"],
+    ray_x: Float32[np.ndarray, "rows columns"],
+    ray_y: Float32[np.ndarray, "rows columns"],
+    where: Bool[np.ndarray, "rows columns"],
+    points: Points,
+) -> None:
+    n = 0
+    for row in range(z_m.shape[0]):
+        for column in range(z_m.shape[1]):
+            if where[row, column]:
+                z = z_m[row, column]
+                points[n, 0] = ray_x[row, column] * z
+                points[n, 1] = ray_y[row, column] * z
+                points[n, 2] = z
+                n += 1
 
 
 def on_surface(z_m: Float32[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "rows columns"]:
@@ -117,34 +139,78 @@ def on_surface(z_m: Float32[np.ndarray, "rows columns"]) -> Bool[np.ndarray, "ro
 
     A reading on a surface has a neighbour at its own depth, and is not on a ramp that jumps before it and after it.
     """
-    jump_m = np.maximum(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * z_m)
-    has_level_neighbour = np.zeros(z_m.shape, np.bool_)
-    on_ramp = np.zeros(z_m.shape, np.bool_)
-    # Comparisons with NaN are false: a hole is neither a level neighbour nor a jump.
-    for before, after in (
-        ((slice(None, -1), slice(None)), (slice(1, None), slice(None))),
-        ((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
-    ):
-        step_m = z_m[after] - z_m[before]
-        jump_here_m = jump_m[after]
-        rises = step_m > jump_here_m
-        level = np.abs(step_m, out=step_m) <= jump_here_m
-        jumps = step_m > jump_here_m
-        has_level_neighbour[after] |= level
-        has_level_neighbour[before] |= level
-        # The step into a pixel and the step out of it, both jumps in one direction: the inner pixels of both arrays.
-        one_way = jumps[before] & jumps[after]
-        one_way &= rises[before] == rises[after]
-        on_ramp[after][before] |= one_way
-    return has_level_neighbour & ~on_ramp
+    surface = np.empty(z_m.shape, np.bool_)
+    _find_surface(z_m, surface)
+    return surface
+
+
+@compiled
+def _find_surface(z_m: Float32[np.ndarray, "rows columns"], surface: Bool[np.ndarray, "rows columns"]) -> None:
+    rows, columns = z_m.shape
+    hole = np.float32(np.nan)
+    for row in range(rows):
+        for column in range(columns):
+            z = z_m[row, column]
+            left = z_m[row, column - 1] if column > 0 else hole
+            right = z_m[row, column + 1] if column + 1 < columns else hole
+            above = z_m[row - 1, column] if row > 0 else hole
+            below = z_m[row + 1, column] if row + 1 < rows else hole
+            across, along_x = _neighbourhood(left, z, right)
+            down, along_y = _neighbourhood(above, z, below)
+            surface[row, column] = (across or down) and not (along_x or along_y)
+
+
+@compiled
+def _neighbourhood(before: np.float32, z: np.float32, after: np.float32) -> tuple[bool, bool]:
+    """Whether one of two opposite neighbours is level with a reading, and whether it is on a ramp between them.
+
+    Comparisons with NaN are false: a hole is neither a level neighbour nor a jump.
+    """
+    step_in, step_out = z - before, after - z
+    jump_in = max(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * z)
+    jump_out = max(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * after)
+    level = abs(step_in) <= jump_in or abs(step_out) <= jump_out
+    rises = step_in > jump_in and step_out > jump_out
+    falls = step_in < -jump_in and step_out < -jump_out
+    return bool(level), bool(rises or falls)
+
+
+def narrowed(where: Bool[np.ndarray, "rows columns"], kept: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "rows columns"]:
+    """Of the n set pixels of an image, in row-major order, those that are kept."""
+    fewer = np.zeros(where.shape, np.bool_)
+    _narrow(where, kept, fewer)
+    return fewer
+
+
+@compiled
+def _narrow(
+    where: Bool[np.ndarray, "rows columns"], kept: Bool[np.ndarray, " n"], fewer: Bool[np.ndarray, "rows columns"]
+) -> None:
+    n = 0
+    for row in range(where.shape[0]):
+        for column in range(where.shape[1]):
+            if where[row, column]:
+                fewer[row, column] = kept[n]
+                n += 1
 
 
 def window_around(shown: Bool[np.ndarray, "rows columns"], margin: float = 0.0, margin_px: int = 0) -> Window:
     """Box around the set pixels of an image (at least one), wider on each side by a share of itself and some pixels."""
     sides = []
-    for axis in (1, 0):
-        places = np.flatnonzero(shown.any(axis=axis))
-        first, last = int(places[0]), int(places[-1])
+    for (first, last), size in zip(_bounds(shown), shown.shape, strict=True):
         more = max(margin_px, round(margin * (last - first + 1)))
-        sides.append(slice(max(first - more, 0), min(last + more + 1, shown.shape[1 - axis])))
+        sides.append(slice(max(first - more, 0), min(last + more + 1, size)))
     return sides[0], sides[1]
+
+
+@compiled
+def _bounds(shown: Bool[np.ndarray, "rows columns"]) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last row, first and last column with a set pixel."""
+    rows, columns = shown.shape
+    top, bottom, left, right = rows, -1, columns, -1
+    for row in range(rows):
+        for column in range(columns):
+            if shown[row, column]:
+                top, bottom = min(top, row), row
+                left, right = min(left, column), max(right, column)
+    return (top, bottom), (left, right)

@@ -6,6 +6,7 @@ objects that overlap in the image but stand apart stay two.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -13,6 +14,8 @@ import numpy as np
 from jaxtyping import Float32, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
+from service.core.compiled import compiled
+from service.core.depth_view import window_around
 
 CELL_M = 0.004
 """Edge of a cell of the map, metres."""
@@ -45,17 +48,14 @@ class Footprints:
 
     def label_of(self, points: Points) -> Int32[np.ndarray, " n"]:
         """Number of the footprint that each point (camera frame, metres) stands in; 0 for none."""
-        rows, columns = self.labels.shape
-        cells = (self.axes @ points.T - self.corner_m[:, None]) * np.float32(1.0 / self.cell_m)
-        # The outermost cells are empty, so whatever lies outside the map may be read there.
-        row = np.clip(cells[0], 0, rows - 1).astype(np.int32)
-        column = np.clip(cells[1], 0, columns - 1).astype(np.int32)
-        return np.asarray(self.labels.ravel()[row * columns + column], np.int32)
+        found = np.empty(len(points), np.int32)
+        _look_up(points, self.axes, self.corner_m, np.float32(1.0 / self.cell_m), self.labels, found)
+        return found
 
     def extent_m(self, label: int) -> float:
         """Longer side of the box around one footprint, metres."""
-        shown = self.labels == label
-        return self.cell_m * max(int(np.ptp(np.flatnonzero(shown.any(axis=axis)))) + 1 for axis in (0, 1))
+        rows, columns = window_around(self.labels == label)
+        return self.cell_m * float(max(rows.stop - rows.start, columns.stop - columns.start))
 
 
 def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints | None:
@@ -75,23 +75,63 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     """
     axes = _horizontal_axes(up)
     cell_m = max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2])))
-    cells = (axes @ points.T - (axes.astype(np.float64) @ place_m).astype(np.float32)[:, None]) * np.float32(
-        1.0 / cell_m
-    )
-    near = (np.abs(cells[0]) < REACH_CELLS) & (np.abs(cells[1]) < REACH_CELLS)
-    row, column = np.floor(cells[0][near]).astype(np.int32), np.floor(cells[1][near]).astype(np.int32)
-    if len(row) == 0:
+    around = np.zeros((2 * REACH_CELLS, 2 * REACH_CELLS), np.uint8)
+    place = (axes.astype(np.float64) @ place_m).astype(np.float32)
+    top, bottom, left, right = _mark(points, axes, place, np.float32(1.0 / cell_m), around)
+    if bottom < top:
         return None
     margin = VESSEL_GAP_CELLS // 2 + 2
-    first_row, first_column = int(row.min()) - margin, int(column.min()) - margin
-    shape = int(row.max()) - first_row + margin + 1, int(column.max()) - first_column + margin + 1
-    occupied = np.zeros(shape, np.uint8)
-    occupied[row - first_row, column - first_column] = 1
+    occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
+    occupied[margin:-margin, margin:-margin] = around[top : bottom + 1, left : right + 1]
+    first_row, first_column = top - REACH_CELLS - margin, left - REACH_CELLS - margin
     grown = cv2.dilate(occupied, np.ones((3, 3), np.uint8))
     _, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
     labels = _join_vessels(occupied, np.asarray(components, np.int32))
     corner_m = axes.astype(np.float64) @ place_m + cell_m * np.array([first_row, first_column])
     return Footprints(axes, corner_m.astype(np.float32), cell_m, labels)
+
+
+@compiled
+def _mark(
+    points: Points,
+    axes: Float32[np.ndarray, "axes=2 3"],
+    place: Float32[np.ndarray, " axes=2"],
+    cells_per_m: np.float32,
+    around: UInt8[np.ndarray, "rows columns"],
+) -> tuple[int, int, int, int]:
+    """Mark the cells that hold a point; returns the first and last row, the first and last column of them."""
+    reach = np.float32(around.shape[0] // 2)
+    top, bottom, left, right = around.shape[0], -1, around.shape[1], -1
+    for point in range(len(points)):
+        x, y, z = points[point, 0], points[point, 1], points[point, 2]
+        down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - place[0]) * cells_per_m
+        across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - place[1]) * cells_per_m
+        if abs(down) < reach and abs(across) < reach:
+            row, column = int(np.floor(down + reach)), int(np.floor(across + reach))
+            around[row, column] = 1
+            top, bottom = min(top, row), max(bottom, row)
+            left, right = min(left, column), max(right, column)
+    return top, bottom, left, right
+
+
+@compiled
+def _look_up(
+    points: Points,
+    axes: Float32[np.ndarray, "axes=2 3"],
+    corner_m: Float32[np.ndarray, " axes=2"],
+    cells_per_m: np.float32,
+    labels: Int32[np.ndarray, "rows columns"],
+    found: Int32[np.ndarray, " n"],
+) -> None:
+    """The outermost cells are empty, so whatever lies outside the map is read there."""
+    rows, columns = labels.shape
+    for point in range(len(points)):
+        x, y, z = points[point, 0], points[point, 1], points[point, 2]
+        down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner_m[0]) * cells_per_m
+        across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner_m[1]) * cells_per_m
+        row = int(min(max(down, np.float32(0.0)), np.float32(rows - 1)))
+        column = int(min(max(across, np.float32(0.0)), np.float32(columns - 1)))
+        found[point] = labels[row, column]
 
 
 def _join_vessels(
@@ -111,20 +151,25 @@ def _join_vessels(
         around = (slice(top - reach, top + height + reach), slice(left - reach, left + width + reach))
         kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         inside = cv2.dilate((holes[around] == hole).astype(np.uint8), kernel) > 0
-        shares = np.bincount(labels[around][inside])
+        shares = np.bincount(labels[around][inside], minlength=int(labels.max()) + 1)
         shares[0] = 0
         # A neighbour seen through a gap of the wall is no part of it.
         walls = np.flatnonzero(shares > 0.1 * shares.sum())
         if len(walls):
-            labels[np.isin(labels, walls)] = walls[0]
+            same = np.arange(len(shares), dtype=np.int32)
+            same[walls] = walls[0]
+            labels = same[labels]
             labels[around][inside] = walls[0]
     return labels
 
 
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:
     """Two unit vectors across `up`; any will do."""
-    helper = np.zeros(3)
-    helper[int(np.argmin(np.abs(up)))] = 1.0
-    first = np.cross(up, helper)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(up, first)]).astype(np.float32)
+    # The cross product of `up` and the axis it has least of, and of `up` and that.
+    across = int(np.argmin(np.abs(up)))
+    after, last = (across + 1) % 3, (across + 2) % 3
+    first = np.zeros(3)
+    first[after], first[last] = up[last], -up[after]
+    first /= math.hypot(up[after], up[last])
+    x, y, z = first
+    return np.array([first, (up[1] * z - up[2] * y, up[2] * x - up[0] * z, up[0] * y - up[1] * x)], np.float32)

@@ -9,15 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64
+from jaxtyping import Bool, Float32, Int32
 
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics, pixel_to_point, ray_grid
-from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, on_surface, view_depth, window_around
+from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, narrowed, on_surface, view_depth, window_around
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
 from service.core.footprints import Footprints, find_footprints
 from service.core.support_plane import SupportPlane
-from service.core.surroundings import Support, fit_support, sample_view, support_around_mask
+from service.core.surroundings import Support, distances_m, fit_support, sample_view, support_around_mask
 
 MIN_OBJECT_POINTS = 30
 """Fewer points say nothing about a shape."""
@@ -128,8 +128,7 @@ def _segment_masked(
         points = view.points(shown)
     known_up = support.fitted.normal if support is not None else up
     kept = _without_background(points, IMAGE_UP if known_up is None else known_up)
-    row, column = view.pixels(shown)
-    return _finish(points[kept], row[kept], column[kept], intrinsics, support, up)
+    return _finish(view, narrowed(shown, kept), intrinsics, support, up)
 
 
 def _segment_cluster(
@@ -142,7 +141,7 @@ def _segment_cluster(
     place_m = points[np.argmin(_distance_to_middle(scene, readable, window, intrinsics))].astype(np.float64)
     if contact_m is not None:
         reach_m = CONTACT_REACH * max(float(place_m[2]), 0.1)
-        if np.linalg.norm(points - contact_m.astype(np.float32), axis=1).min() > reach_m:
+        if distances_m(points, contact_m).min() > reach_m:
             contact_m = None
         else:
             place_m = contact_m
@@ -170,10 +169,8 @@ def _segment_cluster(
     shown = on_surface(view.z_m)
     if support is not None:
         shown &= support.clearance(view) > 1.0
-    points = view.points(shown)
-    kept = footprints.label_of(points) == label
-    row, column = view.pixels(shown)
-    return _finish(points[kept], row[kept], column[kept], intrinsics, support, up)
+    kept = footprints.label_of(view.points(shown)) == label
+    return _finish(view, narrowed(shown, kept), intrinsics, support, up)
 
 
 def _find_object(
@@ -211,18 +208,15 @@ def _find_object(
             continue
         labels = footprints.label_of(points)
         distance = (
-            _distance_to_middle(view, core, window, intrinsics)
-            if contact_m is None
-            else np.linalg.norm(points - contact_m.astype(np.float32), axis=1)
+            _distance_to_middle(view, core, window, intrinsics) if contact_m is None else distances_m(points, contact_m)
         )
         label = _nearest_footprint(labels, distance, MIN_OBJECT_POINTS // stride**2)
         if label == 0:
             continue
         wide = footprints.extent_m(label) > MAX_EXTENT_M
         if found is None or not wide:
-            seen = np.zeros(core.shape, np.bool_)
-            seen.ravel()[np.flatnonzero(core)[labels == label]] = True
-            found = footprints, label, _enlarge(window_around(seen), view, 2 * stride + 2, window, depth_m.shape)
+            seen = window_around(narrowed(core, labels == label))
+            found = footprints, label, _enlarge(seen, view, 2 * stride + 2, window, depth_m.shape)
         if not wide:
             break
     return found
@@ -252,20 +246,21 @@ def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:
 
 
 def _finish(
-    points: Points,
-    row: Int64[np.ndarray, " n"],
-    column: Int64[np.ndarray, " n"],
+    view: DepthView,
+    shown: Bool[np.ndarray, "rows columns"],
     intrinsics: Intrinsics,
     support: Support | None,
     up: Vector3 | None,
 ) -> Segment:
+    """The object that the chosen pixels of a view at full resolution show."""
+    points = view.points(shown)
     _require_count(len(points), "Too few points are left of the object.", "depth")
     pixels = np.zeros((intrinsics.height, intrinsics.width), np.bool_)
-    pixels.ravel()[row * intrinsics.width + column] = True
+    (top, left), (rows, columns) = view.first_pixel, shown.shape
+    pixels[top : top + rows, left : left + columns] = shown
     flags = set()
-    # Rows are in order.
-    margin = min(row[0], column.min(), intrinsics.height - 1 - row[-1], intrinsics.width - 1 - column.max())
-    if margin < BORDER_PX:
+    borders = zip(window_around(shown), view.first_pixel, pixels.shape, strict=True)
+    if any(min(first + side.start, size - first - side.stop) < BORDER_PX for side, first, size in borders):
         flags.add("object_cut_by_border")
     plane = None if support is None else support.answered
     if plane is None:
@@ -280,8 +275,7 @@ def _distance_to_middle(
 ) -> Float32[np.ndarray, " n"]:
     """Distance in pixels of the chosen readings from the middle of the window."""
     rows, columns = window[0].indices(intrinsics.height), window[1].indices(intrinsics.width)
-    row, column = view.pixels(where)
-    return np.hypot(row - (rows[0] + rows[1] - 1) / 2, column - (columns[0] + columns[1] - 1) / 2).astype(np.float32)
+    return view.distances_px(where, (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2)
 
 
 def _enlarge(box: Window, view: DepthView, margin_px: int, within: Window, shape: tuple[int, ...]) -> Window:

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int64
 
 from service.core.arrays import Matrix3, Points, Vector3
+from service.core.compiled import compiled
 
 HYPOTHESES = 160
 """With 40 % of the drawn points on the plane one in 16 triples is clean, so all 160 miss once in 30,000 frames."""
@@ -50,13 +51,15 @@ class SupportPlane:
         return points @ self.normal.astype(np.float32) + np.float32(self.offset_m)
 
 
-def plane_tolerance_m(z_m: Float32[np.ndarray, "..."]) -> Float32[np.ndarray, "..."]:
+@compiled
+def plane_tolerance_m(z_m: np.float32) -> np.float32:
     """How far a point of the support may lie off its plane: 3 mm, or 0.6 % of its depth where that is more.
 
     Structured light and stereo sensors err by 0.1–0.4 % of the depth at the ranges at which objects are handled, and
     tables are uneven by a millimetre or two.
     """
-    return np.maximum(np.float32(0.003), np.float32(0.006) * z_m)
+    shallow, deep = np.float32(0.003), np.float32(0.006) * z_m
+    return shallow if shallow > deep else deep
 
 
 def find_support_plane(
@@ -80,46 +83,55 @@ def find_support_plane(
     if len(points) < MIN_INLIERS or float(weights.sum()) <= 0.0:
         return None
     normals, offsets = _hypotheses(points, weights, up)
-    if len(normals) == 0:
+    if len(offsets) == 0:
         return None
     # A fifth of the points is enough to tell the good hypotheses from the rest.
-    few = slice(None, None, 5)
-    rough, _ = _score(points[few], weights[few], must_be_above[few], normals, offsets)
+    some, some_above = points[::5].copy(), must_be_above[::5].copy()
+    rough, _ = _score(some, weights[::5].copy(), some_above, normals, offsets)
     finalists = np.argsort(rough)[-FINALISTS:]
-    score, gain = _score(points, weights, must_be_above, normals[finalists], offsets[finalists])
+    score, gain = _score(points, weights, must_be_above, normals[:, finalists].copy(), offsets[finalists])
     best = int(np.argmax(score))
     if score[best] <= 0.0 or gain[best] < MIN_SHARE:
         return None
     winner = int(finalists[best])
-    return _refine(points, weights, normals[winner].astype(np.float64), float(offsets[winner]), up)
+    chosen = SupportPlane(normals[:, winner].astype(np.float64), float(offsets[winner]))
+    return _refine(points, weights, chosen, up)
 
 
 def _score(
     points: Points,
     weights: Float32[np.ndarray, " n"],
     must_be_above: Float32[np.ndarray, "known 3"],
-    normals: Float32[np.ndarray, "k 3"],
+    normals: Float32[np.ndarray, "axis=3 k"],
     offsets: Float32[np.ndarray, " k"],
 ) -> tuple[Float32[np.ndarray, " k"], Float32[np.ndarray, " k"]]:
     """Score of each plane, and the share of the weight that lies on it."""
-    share = weights / weights.sum()
-    clearance = _clearance(points, normals, offsets)
-    gain = (np.abs(clearance) < 1.0) @ share
-    score = gain - (clearance < -2.0) @ share
+    on, below, unused, object_below = np.zeros((4, len(offsets)), np.float32)
+    _weigh(points, weights / weights.sum(), normals, offsets, on, below)
     if len(must_be_above):
-        score -= (_clearance(must_be_above, normals, offsets) < -2.0).mean(axis=1, dtype=np.float32)
-    return score, gain
+        even = np.full(len(must_be_above), 1.0 / len(must_be_above), np.float32)
+        _weigh(must_be_above, even, normals, offsets, unused, object_below)
+    return on - below - object_below, on
 
 
-def _clearance(
-    points: Points, normals: Float32[np.ndarray, "k 3"], offsets: Float32[np.ndarray, " k"]
-) -> Float32[np.ndarray, "k n"]:
-    """Height of each point above each plane in units of the plane's tolerance there."""
-    inverse_tolerance = 1.0 / plane_tolerance_m(points[:, 2])
-    scaled = np.empty((4, len(points)), np.float32)
-    np.multiply(points.T, inverse_tolerance, out=scaled[:3])
-    scaled[3] = inverse_tolerance
-    return np.concatenate([normals, offsets[:, None]], axis=1) @ scaled
+@compiled
+def _weigh(
+    points: Points,
+    weights: Float32[np.ndarray, " n"],
+    normals: Float32[np.ndarray, "axis=3 k"],
+    offsets: Float32[np.ndarray, " k"],
+    on: Float32[np.ndarray, " k"],
+    below: Float32[np.ndarray, " k"],
+) -> None:
+    """Add up the weights of the points on each plane and of those below it."""
+    nothing = np.float32(0.0)
+    for point in range(len(points)):
+        x, y, z, weight = points[point, 0], points[point, 1], points[point, 2], weights[point]
+        tolerance_m = plane_tolerance_m(z)
+        for plane in range(len(offsets)):
+            height_m = normals[0, plane] * x + normals[1, plane] * y + normals[2, plane] * z + offsets[plane]
+            on[plane] += weight if abs(height_m) < tolerance_m else nothing
+            below[plane] += weight if height_m < np.float32(-2.0) * tolerance_m else nothing
 
 
 def level_plane(plane: SupportPlane, up: Vector3, points: Points, weights: Float32[np.ndarray, " n"]) -> SupportPlane:
@@ -129,31 +141,47 @@ def level_plane(plane: SupportPlane, up: Vector3, points: Points, weights: Float
     """
     if _angle_rad(plane.normal, up) > AGREEMENT_RAD:
         return plane
-    on_plane = np.abs(plane.heights_m(points)) < plane_tolerance_m(points[:, 2])
-    along_up = points[on_plane].astype(np.float64) @ up
-    return SupportPlane(up, -float(np.average(along_up, weights=weights[on_plane])))
+    _, centre, _ = _inliers(points, weights, plane)
+    return SupportPlane(up, -float(centre @ up))
 
 
 def _hypotheses(
     points: Points, weights: Float32[np.ndarray, " n"], up: Vector3 | None
-) -> tuple[Float32[np.ndarray, "k 3"], Float32[np.ndarray, " k"]]:
+) -> tuple[Float32[np.ndarray, "axis=3 k"], Float32[np.ndarray, " k"]]:
     """Planes through triples of points drawn by weight, with the camera above them; level ones too if `up` is known."""
     cumulative = np.cumsum(weights, dtype=np.float64)
-    drawn = np.searchsorted(cumulative, _draws() * cumulative[-1])
-    first, second, third = points[np.minimum(drawn, len(points) - 1)].astype(np.float64)
-    normals = np.cross(second - first, third - first)
-    length = np.linalg.norm(normals, axis=1)
-    usable = length > 1e-9
-    first, normals = first[usable], normals[usable] / length[usable, None]
-    offsets = -(normals * first).sum(axis=1)
-    normals *= np.where(offsets < 0.0, -1.0, 1.0)[:, None]
-    offsets = np.abs(offsets)
+    drawn = np.minimum(np.searchsorted(cumulative, _draws() * cumulative[-1]), len(points) - 1)
+    planes = np.empty((4, HYPOTHESES))
+    planes = planes[:, : _planes_through(points, drawn, planes)]
     if up is not None:
-        level = normals @ up > math.cos(MAX_TILT_RAD)
-        heights = first[: HYPOTHESES // 2] @ up
-        normals = np.concatenate([normals[level], np.broadcast_to(up, (len(heights), 3))])
-        offsets = np.concatenate([offsets[level], -heights])
-    return normals.astype(np.float32), offsets.astype(np.float32)
+        level = planes[:, up @ planes[:3] > math.cos(MAX_TILT_RAD)]
+        heights = points[drawn[0, : HYPOTHESES // 2]] @ up
+        upright = np.concatenate([np.broadcast_to(up[:, None], (3, len(heights))), -heights[None]])
+        planes = np.concatenate([level, upright], axis=1)
+    normals_and_offsets = planes.astype(np.float32, order="C")
+    return normals_and_offsets[:3], normals_and_offsets[3]
+
+
+@compiled
+def _planes_through(
+    points: Points, drawn: Int64[np.ndarray, "corner=3 k"], planes: Float64[np.ndarray, "normal_and_offset=4 k"]
+) -> int:
+    """Planes through triples of points, the camera above each; how many there are, since three in a line make none."""
+    found = 0
+    for draw in range(drawn.shape[1]):
+        first, second, third = drawn[0, draw], drawn[1, draw], drawn[2, draw]
+        x, y, z = np.float64(points[first, 0]), np.float64(points[first, 1]), np.float64(points[first, 2])
+        ax, ay, az = points[second, 0] - x, points[second, 1] - y, points[second, 2] - z
+        bx, by, bz = points[third, 0] - x, points[third, 1] - y, points[third, 2] - z
+        nx, ny, nz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        length = math.sqrt(nx * nx + ny * ny + nz * nz)
+        if length > 1e-9:
+            offset = -(nx * x + ny * y + nz * z) / length
+            side = math.copysign(1.0 / length, offset)
+            planes[0, found], planes[1, found], planes[2, found] = side * nx, side * ny, side * nz
+            planes[3, found] = abs(offset)
+            found += 1
+    return found
 
 
 @cache
@@ -167,36 +195,64 @@ def _draws() -> Float64[np.ndarray, "corners=3 k"]:
 def _refine(
     points: Points,
     weights: Float32[np.ndarray, " n"],
-    normal: Vector3,
-    offset_m: float,
+    plane: SupportPlane,
     up: Vector3 | None,
 ) -> SupportPlane | None:
-    tolerance_m = plane_tolerance_m(points[:, 2])
     for _ in range(3):
-        on_plane = np.abs(points @ normal.astype(np.float32) + np.float32(offset_m)) < tolerance_m
-        if int(on_plane.sum()) < MIN_INLIERS:
+        count, centre, covariance = _inliers(points, weights, plane)
+        if count < MIN_INLIERS:
             return None
-        inliers = points[on_plane].astype(np.float64)
-        inlier_weights = weights[on_plane].astype(np.float64)
-        centre, spread, axes = _weighted_axes(inliers, inlier_weights)
-        # A strip of points fixes a line, not a plane.
-        if spread[1] < 5.0 * spread[0]:
-            return None if up is None else SupportPlane(up, -float(np.average(inliers @ up, weights=inlier_weights)))
-        normal = axes[:, 0] * (1.0 if float(axes[:, 0] @ normal) > 0.0 else -1.0)
-        offset_m = -float(normal @ centre)
-    if up is not None and _angle_rad(normal, up) > MAX_TILT_RAD:
+        variances, axes = np.linalg.eigh(covariance)
+        # A strip of points fixes a line, not a plane: five times as wide as thick it must be.
+        if variances[1] < 25.0 * max(variances[0], 0.0):
+            return None if up is None else SupportPlane(up, -float(centre @ up))
+        normal = axes[:, 0] * (1.0 if float(axes[:, 0] @ plane.normal) > 0.0 else -1.0)
+        plane = SupportPlane(normal, -float(normal @ centre))
+    if up is not None and _angle_rad(plane.normal, up) > MAX_TILT_RAD:
         return None
-    return SupportPlane(normal, offset_m)
+    return plane
 
 
-def _weighted_axes(
-    points: Float64[np.ndarray, "n 3"], weights: Float64[np.ndarray, " n"]
-) -> tuple[Vector3, Vector3, Matrix3]:
-    """Centre, standard deviations (ascending) and principal axes (columns) of weighted points."""
-    centre = weights @ points / weights.sum()
-    centred = points - centre
-    variances, axes = np.linalg.eigh((centred * weights[:, None]).T @ centred / weights.sum())
-    return centre, np.sqrt(np.maximum(variances, 0.0)), axes
+def _inliers(points: Points, weights: Float32[np.ndarray, " n"], plane: SupportPlane) -> tuple[int, Vector3, Matrix3]:
+    """Number, weighted centre and weighted covariance of the points on a plane."""
+    sums = np.zeros(10)
+    count = _add_inliers(points, weights, plane.normal.astype(np.float32), np.float32(plane.offset_m), sums)
+    if count == 0:
+        return 0, np.zeros(3), np.zeros((3, 3))
+    means = sums[1:] / sums[0]
+    centre = means[:3]
+    xx, yy, zz, xy, yz, zx = means[3:]
+    squares = np.array([[xx, xy, zx], [xy, yy, yz], [zx, yz, zz]])
+    return count, centre, squares - np.outer(centre, centre)
+
+
+@compiled
+def _add_inliers(
+    points: Points,
+    weights: Float32[np.ndarray, " n"],
+    normal: Float32[np.ndarray, "3"],
+    offset_m: np.float32,
+    sums: Float64[np.ndarray, "10"],
+) -> int:
+    """Add up 1, x, y, z, x², y², z², xy, yz, zx of the points on a plane, times their weights."""
+    count = 0
+    for point in range(len(points)):
+        height_m = normal[0] * points[point, 0] + normal[1] * points[point, 1] + normal[2] * points[point, 2] + offset_m
+        if abs(height_m) < plane_tolerance_m(points[point, 2]):
+            count += 1
+            weight = np.float64(weights[point])
+            x, y, z = np.float64(points[point, 0]), np.float64(points[point, 1]), np.float64(points[point, 2])
+            sums[0] += weight
+            sums[1] += weight * x
+            sums[2] += weight * y
+            sums[3] += weight * z
+            sums[4] += weight * x * x
+            sums[5] += weight * y * y
+            sums[6] += weight * z * z
+            sums[7] += weight * x * y
+            sums[8] += weight * y * z
+            sums[9] += weight * z * x
+    return count
 
 
 def _angle_rad(a: Vector3, b: Vector3) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -10,6 +11,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics
+from service.core.compiled import compiled
 from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, view_depth, window_around
 from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
 
@@ -29,9 +31,41 @@ class Support:
 
     def clearance(self, view: DepthView) -> Float32[np.ndarray, "rows columns"]:
         """Heights above the plane in units of its tolerance; NaN where there is no reading."""
-        clearance = view.heights_m(self.fitted.normal, self.fitted.offset_m)
-        clearance /= plane_tolerance_m(view.z_m)
+        clearance = np.empty_like(view.z_m)
+        normal, offset_m = self.fitted.normal.astype(np.float32), np.float32(self.fitted.offset_m)
+        _clear(view.z_m, view.ray_x, view.ray_y, normal, offset_m, clearance)
         return clearance
+
+
+def distances_m(points: Points, place_m: Vector3) -> Float32[np.ndarray, " n"]:
+    """Distance of each point from a place, metres."""
+    distances_m = np.empty(len(points), np.float32)
+    _measure(points, place_m.astype(np.float32), distances_m)
+    return distances_m
+
+
+@compiled
+def _measure(points: Points, place_m: Float32[np.ndarray, "3"], distances_m: Float32[np.ndarray, " n"]) -> None:
+    for point in range(len(points)):
+        x, y, z = points[point, 0] - place_m[0], points[point, 1] - place_m[1], points[point, 2] - place_m[2]
+        distances_m[point] = math.sqrt(x * x + y * y + z * z)
+
+
+@compiled
+def _clear(
+    z_m: Float32[np.ndarray, "rows columns"],
+    ray_x: Float32[np.ndarray, "rows columns"],
+    ray_y: Float32[np.ndarray, "rows columns"],
+    normal: Float32[np.ndarray, "3"],
+    offset_m: np.float32,
+    clearance: Float32[np.ndarray, "rows columns"],
+) -> None:
+    nx, ny, nz = normal
+    for row in range(z_m.shape[0]):
+        for column in range(z_m.shape[1]):
+            z = z_m[row, column]
+            height_m = (nx * ray_x[row, column] + ny * ray_y[row, column] + nz) * z + offset_m
+            clearance[row, column] = height_m / plane_tolerance_m(z)
 
 
 def sample_view(depth_m: DepthImage, intrinsics: Intrinsics, window: Window) -> DepthView:
@@ -51,9 +85,8 @@ def fit_support(
         known_object: Points of the object, which must lie above the plane; may be empty.
         up: Unit vector against gravity, or None.
     """
-    distance = np.linalg.norm(points - place_m.astype(np.float32), axis=1)
     reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
-    weights = 1.0 / np.square(1.0 + np.square(distance / reach_m))
+    weights = 1.0 / np.square(1.0 + np.square(distances_m(points, place_m) / reach_m))
     fitted = find_support_plane(points, weights, known_object, up)
     if fitted is None:
         return None

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Float64
+from jaxtyping import Float32, Float64
 
-from service.core.arrays import GRID_SIZE, DepthImage, Occupancy, Points, Transform, Vector3
+from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Transform, Vector3
 from service.core.camera import Intrinsics, project
+from service.core.compiled import compiled
 from service.core.grids import Grid, centres_seen_from
 
 EDGE_OVER_EXTENT = 1.35
@@ -25,12 +25,6 @@ OUTLIER_PERCENTILE = 0.5
 FREE_MARGIN_VOXELS = 1.0
 """A voxel is free only if the ray passes its centre by this much before it hits: the centre of a voxel that holds a
 surface point lies at most √3/2 voxels before it."""
-
-SLAB = 512
-"""Columns of voxels carved at once: what is computed for them stays in the processor's cache."""
-
-LONGEST_REMAP = 2**15 - 1
-"""OpenCV looks pixels up in images shorter and narrower than this."""
 
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
@@ -100,63 +94,79 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
 
 def voxelize_points(points: Points, grid: Grid) -> Occupancy:
     """Mark the voxels that hold at least one of the points (camera frame, metres); points outside are left out."""
-    grid_from_camera = grid.grid_from_camera
-    local = grid_from_camera[:3, :3].astype(np.float32) @ points.T
-    local += grid_from_camera[:3, 3:].astype(np.float32)
-    local /= np.float32(grid.pitch_m)
-    index = np.floor(local, out=local).astype(np.int32)
-    # As unsigned, what lies below zero is far above the grid.
-    inside = (index.view(np.uint32) < GRID_SIZE).all(axis=0)
-    voxel = (index[0] * GRID_SIZE + index[1]) * GRID_SIZE + index[2]
-    occupied = np.zeros(GRID_SIZE**3, bool)
-    occupied[voxel[inside]] = True
-    return occupied.reshape((GRID_SIZE,) * 3)
+    grid_from_camera = grid.grid_from_camera.astype(np.float32)
+    occupied = np.zeros((GRID_SIZE,) * 3, np.bool_)
+    _mark(points, grid_from_camera, np.float32(grid.pitch_m), occupied)
+    return occupied
+
+
+@compiled
+def _mark(points: Points, t: Float32[np.ndarray, "4 4"], pitch_m: np.float32, occupied: Occupancy) -> None:
+    """Mark the voxels that hold a point; t is the transform grid_from_camera."""
+    size = np.float32(GRID_SIZE)
+    for point in range(len(points)):
+        x, y, z = points[point, 0], points[point, 1], points[point, 2]
+        i = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) / pitch_m
+        j = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) / pitch_m
+        k = (t[2, 0] * x + t[2, 1] * y + t[2, 2] * z + t[2, 3]) / pitch_m
+        if 0.0 <= i < size and 0.0 <= j < size and 0.0 <= k < size:
+            occupied[int(i), int(j), int(k)] = True
 
 
 def carve_free(depth_m: DepthImage, intrinsics: Intrinsics, grid: Grid) -> Occupancy:
     """Mark the voxels that some ray crossed before it hit: the reading at the centre's pixel lies behind the voxel."""
+    free = np.empty((GRID_SIZE,) * 3, np.bool_)
+    margin_m = np.float32(FREE_MARGIN_VOXELS * grid.pitch_m)
     if intrinsics.distortion is not None:
         centres = centres_seen_from(grid.camera_from_grid[:3, :3], grid.pitch_m, grid.camera_from_grid[:3, 3])
-        x, y, z = (axis.reshape(-1, GRID_SIZE) for axis in centres)
-        pixels, _ = project(np.stack([x.ravel(), y.ravel(), z.ravel()], axis=1), intrinsics)
-        column, row = pixels.T.astype(np.float32).reshape(2, *x.shape)
-        return _hits_behind(depth_m, column, row, z, grid.pitch_m).reshape((GRID_SIZE,) * 3)
-    # u z, v z and z are linear in the three indices of a voxel: a share for each (i, j) and one for each k.
+        points = np.stack([axis.ravel() for axis in centres], axis=1)
+        pixels, _ = project(points, intrinsics)
+        reading = _readings_at(depth_m, pixels)
+        # NaN compares false: where the sensor gave nothing, nothing is known.
+        return np.asarray((reading > points[:, 2] + margin_m).reshape(free.shape), np.bool_)
+    # u z, v z and z of a voxel's centre are linear in its three indices.
     along = intrinsics.matrix @ grid.camera_from_grid[:3, :3] * grid.pitch_m
     first = intrinsics.matrix @ grid.camera_from_grid[:3, 3] + along.sum(axis=1) / 2
-    steps = np.arange(GRID_SIZE)
-    of_column = first[:, None, None] + along[:, 0, None, None] * steps[:, None] + along[:, 1, None, None] * steps
-    of_column = of_column.astype(np.float32).reshape(3, -1, 1)
-    of_step = (along[:, 2:] * steps).astype(np.float32)[:, None]
-    free = np.empty((GRID_SIZE**2, GRID_SIZE), bool)
-    for start in range(0, GRID_SIZE**2, SLAB):
-        slab = slice(start, start + SLAB)
-        column, row, z = of_column[:, slab] + of_step
-        with np.errstate(divide="ignore", invalid="ignore"):
-            column /= z
-            row /= z
-        free[slab] = _hits_behind(depth_m, column, row, z, grid.pitch_m)
-    return free.reshape((GRID_SIZE,) * 3)
+    _carve(depth_m, first, along, margin_m, free)
+    return free
 
 
-def _hits_behind(
-    depth_m: DepthImage,
-    column: Float32[np.ndarray, "rows columns"],
-    row: Float32[np.ndarray, "rows columns"],
-    z: Float32[np.ndarray, "rows columns"],
-    pitch_m: float,
-) -> Bool[np.ndarray, "rows columns"]:
-    """Whether the reading at each pixel lies behind a voxel whose centre is seen there at depth z."""
-    if max(depth_m.shape) < LONGEST_REMAP:
-        reading = cv2.remap(depth_m, column, row, cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, float("nan"))
-    else:
-        inside = (column > -0.5) & (column < depth_m.shape[1] - 0.5) & (row > -0.5) & (row < depth_m.shape[0] - 0.5)
-        pixel = tuple(np.rint(np.where(inside, place, 0.0)).astype(np.intp) for place in (row, column))
-        reading = np.where(inside, depth_m[pixel], np.float32(np.nan))
-    # NaN compares false: where the sensor gave nothing, nothing is known.
-    behind = reading > z + np.float32(FREE_MARGIN_VOXELS * pitch_m)
-    # What is behind the camera appears in the image, too, upside down.
-    return np.asarray(behind & (z > 0.0), np.bool_)
+@compiled
+def _carve(depth_m: DepthImage, first: Vector3, along: Matrix3, margin_m: np.float32, free: Occupancy) -> None:
+    """Carve a column of voxels at a time: first where each is seen, eight at once, then what is read there."""
+    readings = depth_m.ravel()
+    width, height = np.float32(depth_m.shape[1]), np.float32(depth_m.shape[0])
+    columns = np.int32(depth_m.shape[1])
+    pixel, behind_m = np.empty(GRID_SIZE, np.int32), np.empty(GRID_SIZE, np.float32)
+    half, nothing, never = np.float32(0.5), np.float32(0.0), np.float32(np.inf)
+    step_u, step_v, step_z = np.float32(along[0, 2]), np.float32(along[1, 2]), np.float32(along[2, 2])
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            start_u = np.float32(first[0] + along[0, 0] * i + along[0, 1] * j)
+            start_v = np.float32(first[1] + along[1, 0] * i + along[1, 1] * j)
+            start_z = np.float32(first[2] + along[2, 0] * i + along[2, 1] * j)
+            for k in range(GRID_SIZE):
+                step = np.float32(k)
+                z = start_z + step * step_z
+                inverse = np.float32(1.0) / z
+                # Pixel centres have whole coordinates; from half a pixel before, whole numbers are pixels.
+                u = (start_u + step * step_u) * inverse + half
+                v = (start_v + step * step_v) * inverse + half
+                # What is behind the camera would appear in the image, too, upside down.
+                inside = (z > nothing) & (u >= nothing) & (u < width) & (v >= nothing) & (v < height)
+                pixel[k] = np.int32(v if inside else nothing) * columns + np.int32(u if inside else nothing)
+                behind_m[k] = z + margin_m if inside else never
+            for k in range(GRID_SIZE):
+                # NaN compares false: where the sensor gave nothing, nothing is known.
+                free[i, j, k] = readings[np.uint32(pixel[k])] > behind_m[k]
+
+
+def _readings_at(depth_m: DepthImage, pixels: Float64[np.ndarray, "n 2"]) -> Float32[np.ndarray, " n"]:
+    """The reading at the pixel that each place (u, v) lies in; NaN outside the image."""
+    column, row = np.rint(np.nan_to_num(pixels, nan=-1.0, posinf=-1.0, neginf=-1.0).T)
+    inside = (column >= 0) & (column < depth_m.shape[1]) & (row >= 0) & (row < depth_m.shape[0])
+    column, row = (np.where(inside, place, 0.0).astype(np.intp) for place in (column, row))
+    return np.where(inside, depth_m[row, column], np.float32(np.nan))
 
 
 def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
@@ -166,18 +176,24 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     filling all of them would fatten it by half a voxel. Farther than one voxel off the body, a measured point shows
     something that the body lacks.
     """
-    # One axis after the other makes the 3³ neighbourhood of three short ones; z is OpenCV's, since NumPy's loop over
-    # short rows takes longer than all the rest.
-    columns = occupancy.view(np.uint8).reshape(-1, GRID_SIZE)
-    near = cv2.dilate(columns, np.ones((1, 3), np.uint8)).view(np.bool_).reshape(occupancy.shape)
-    for axis in (1, 0):
-        wider = near.copy()
-        there, here = np.moveaxis(wider, axis, 0), np.moveaxis(near, axis, 0)
-        there[:-1] |= here[1:]
-        there[1:] |= here[:-1]
-        near = wider
-    covered: Occupancy = occupancy | (observed & ~near)
+    covered = occupancy.copy()
+    _cover(occupancy, observed, covered)
     return covered
+
+
+@compiled
+def _cover(occupancy: Occupancy, observed: Occupancy, covered: Occupancy) -> None:
+    last = GRID_SIZE - 1
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            for k in range(GRID_SIZE):
+                if observed[i, j, k] and not occupancy[i, j, k]:
+                    alone = True
+                    for x in range(max(i - 1, 0), min(i + 1, last) + 1):
+                        for y in range(max(j - 1, 0), min(j + 1, last) + 1):
+                            for z in range(max(k - 1, 0), min(k + 1, last) + 1):
+                                alone = alone and not occupancy[x, y, z]
+                    covered[i, j, k] = alone
 
 
 def voxelize(

@@ -214,6 +214,60 @@ def test_every_byte_of_damage_is_refused_or_harmless() -> None:
             assert error.field == "depth"
 
 
+def png_of(pixels: bytes, *, methods: bytes = b"\0\0\0", other: bytes = b"") -> bytes:
+    """A 16-bit grey PNG of rows that are filtered already."""
+
+    def chunk(name: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + name + body + struct.pack(">I", zlib.crc32(name + body))
+
+    header = struct.pack(">IIBB", WIDTH, HEIGHT, 16, 0) + methods
+    packed = zlib.compress(pixels)
+    halves = chunk(b"IDAT", packed[:20]) + chunk(b"IDAT", packed[20:])
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + other + halves + chunk(b"IEND", b"")
+
+
+def rows_of(counts: np.ndarray) -> bytes:
+    return b"".join(b"\0" + row.astype(">u2").tobytes() for row in counts)
+
+
+def test_pixels_in_several_chunks_and_a_row_of_each_filter_are_read() -> None:
+    counts = counts_mm()
+    np.testing.assert_array_equal(decode("png16", png_of(rows_of(counts))), expected_m())
+    for strategy in range(5):  # zlib's strategies make libpng choose other filters
+        file = cv2.imencode(".png", counts, [cv2.IMWRITE_PNG_STRATEGY, strategy])[1].tobytes()
+        np.testing.assert_array_equal(decode("png16", file), expected_m())
+
+
+def test_interlaced_rows_are_put_where_they_belong() -> None:
+    counts = counts_mm()
+    passes = [(0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1)]  # Adam7
+    pixels = b"".join(rows_of(counts[row::down, column::right]) for row, column, down, right in passes)
+    np.testing.assert_array_equal(decode("png16", png_of(pixels, methods=b"\0\0\1")), expected_m())
+
+
+@pytest.mark.parametrize(
+    "pixels", [rows_of(counts_mm())[:-1], b"\x05" + rows_of(counts_mm())[1:]], ids=["a byte short", "no such filter"]
+)
+def test_pixels_that_are_no_image_are_damage(pixels: bytes) -> None:
+    with pytest.raises(InvalidFrame, match="damaged"):
+        decode("png16", png_of(pixels))
+
+
+def test_more_pixels_than_the_header_says_are_not_unpacked() -> None:
+    """A few kilobytes that unpack to a gigabyte; whatever becomes of them, it takes neither the time nor the memory."""
+    import tracemalloc
+
+    bomb = png_of(rows_of(counts_mm()) + bytes(2**26))
+    tracemalloc.start()
+    try:
+        decode("png16", bomb)
+    except InvalidFrame:
+        pass
+    largest = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert largest < 2**22
+
+
 def test_mask_is_every_nonzero_pixel() -> None:
     grey = np.zeros((HEIGHT, WIDTH), np.uint8)
     grey[3, 4], grey[5, 6] = 1, 255

@@ -5,6 +5,7 @@ from service.core.camera import make_intrinsics
 from service.core.grids import Grid
 from service.core.voxels import (
     EDGE_OVER_EXTENT,
+    FREE_MARGIN_VOXELS,
     FRONT_MARGIN,
     VoxelView,
     carve_free,
@@ -73,6 +74,25 @@ def test_voxelize_keeps_observed_free_and_unknown_apart() -> None:
     assert view.free[:3].mean() > 0.95
 
 
+def test_carving_asks_the_reading_at_each_centres_pixel() -> None:
+    scene = render([BOX])
+    depth_m = scene.depth_m.copy()
+    depth_m[200:220] = np.nan
+    # Large enough that a part of it lies outside the image.
+    grid = Grid(0.02, view_grid(points_of(scene), scene.up, scene.offset_m).camera_from_grid)
+    index = np.indices((64, 64, 64)).reshape(3, -1).T + 0.5
+    centres = index * grid.pitch_m @ grid.camera_from_grid[:3, :3].T + grid.camera_from_grid[:3, 3]
+    u = np.rint(CAMERA.fx * centres[:, 0] / centres[:, 2] + CAMERA.cx)
+    v = np.rint(CAMERA.fy * centres[:, 1] / centres[:, 2] + CAMERA.cy)
+    seen = (u >= 0) & (u < CAMERA.width) & (v >= 0) & (v < CAMERA.height) & (centres[:, 2] > 0.0)
+    reading = np.full(len(centres), np.nan)
+    reading[seen] = depth_m[v[seen].astype(int), u[seen].astype(int)]
+    expected = (reading > centres[:, 2] + FREE_MARGIN_VOXELS * grid.pitch_m).reshape(64, 64, 64)
+    assert expected.any() and not seen.all()
+    # Places half-way between two pixels may be rounded either way.
+    assert (carve_free(depth_m, CAMERA, grid) != expected).sum() <= 5
+
+
 def test_nothing_is_free_where_the_sensor_gives_no_reading() -> None:
     scene = render([BOX])
     grid = view_grid(points_of(scene), scene.up, scene.offset_m)
@@ -114,6 +134,15 @@ def test_cover_adds_only_what_is_farther_than_a_voxel_from_the_body() -> None:
     covered = cover(body, observed)
     assert covered[40, 30, 2]
     assert covered.sum() == body.sum() + 1
+
+
+def test_cover_looks_at_all_neighbours_and_no_farther() -> None:
+    rng = np.random.default_rng(0)
+    body, observed = rng.random((2, 64, 64, 64)) < 0.02
+    padded = np.pad(body, 1)
+    sides = [slice(1 + shift, 65 + shift) for shift in (-1, 0, 1)]
+    near = np.any([padded[x, y, z] for x in sides for y in sides for z in sides], axis=0)
+    np.testing.assert_array_equal(cover(body, observed), body | (observed & ~near))
 
 
 def seen_from(camera_height_voxels: float, top: int) -> VoxelView:
