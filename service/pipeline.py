@@ -34,7 +34,7 @@ from service.core.messages import (
     Observation,
 )
 from service.core.segmentation import segment
-from service.core.shapes import decode_shape
+from service.core.shapes import decode_shape, in_own_voxels
 from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
@@ -49,17 +49,17 @@ IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class Body:
-    """The object before the push, in its body grid.
+    """The object before the push, in the grid that it is answered in.
 
     Attributes:
-        grid: The body grid, which every grid of the reply shares.
+        grid: The body grid, or a known shape's own; every grid of the reply shares it.
         observed: Voxels with a measured point; None for a known shape.
         probability: Occupancy probability.
         occupancy: The body.
         flags: What the robot should know about it.
         crop: The depth image around it, in which later contacts are looked up; None for a known shape.
-        smooth: A known shape's smoothed occupancy: its voxels tell its surface better in their own grid than again in
-            the body's.
+        smooth: Smoothed occupancy of a known shape that is not answered in its own grid: its voxels tell its surface
+            better there than again in the body's.
     """
 
     grid: Grid
@@ -205,11 +205,14 @@ class Pipeline:
         return Body(grid, observed, probability, occupancy, found.flags, crop), contacts
 
     def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:
-        """A known shape in its body grid, and the contacts in the camera frame."""
+        """A known shape in its own grid or, where that does not serve, its body grid; contacts in the camera frame."""
         contacts = [_contact_in_metres(load, f"loads[{i}].contact_px") for i, load in enumerate(loads)]
         with watch.stage("decode"):
             given, given_grid = decode_shape(source)
         with watch.stage("align"):
+            if (own := in_own_voxels(given, given_grid, source.up)) is not None:
+                occupancy, grid = own
+                return Body(grid, None, occupancy.astype(np.float32), occupancy, frozenset()), contacts
             grid = body_grid(given, given_grid, up=source.up, on_floor=False)
             probability = resample(given.astype(np.float32), given_grid, grid)
             smooth = resample(smoothed(given), given_grid, grid)

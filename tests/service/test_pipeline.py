@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.core.arrays import Vector3
 from service.core.camera import project
 from service.core.errors import ContactOffBody, EmptyObject, InvalidRequest, ReconstructionGone
 from service.core.grids import pack_bits
@@ -68,8 +69,8 @@ def answer(pipeline: Pipeline, scene: TableScene) -> DeformResult:
     return pipeline.predict(request(scene, front(scene, 3.0), front(scene, 0.0), front(scene, 0.3)))
 
 
-def brick(*loads: Load, **changes: object) -> DeformRequest:
-    source = KnownShape(pack_bits(BRICK).tobytes(), BRICK_PITCH_M, BRICK_POSE)
+def brick(*loads: Load, up: Vector3 | None = None, **changes: object) -> DeformRequest:
+    source = KnownShape(pack_bits(BRICK).tobytes(), BRICK_PITCH_M, BRICK_POSE, up=up)
     return DeformRequest(source, SOFT, loads or (brick_push(),), **changes)  # type: ignore[arg-type]
 
 
@@ -219,8 +220,32 @@ def test_a_known_shape_keeps_its_volume_and_its_place(pipeline: Pipeline) -> Non
     assert set(result.timing_ms) == {"decode", "align", "deform", "total"}
 
 
-def test_a_known_shape_moves_with_its_push(pipeline: Pipeline) -> None:
-    result = pipeline.predict(brick())
+def test_a_known_shape_is_answered_in_its_own_voxels(pipeline: Pipeline) -> None:
+    result = pipeline.predict(brick(brick_push(), brick_push(0.0)))
+    np.testing.assert_array_equal(result.reconstruction, BRICK)
+    np.testing.assert_array_equal(result.reconstruction_probability, BRICK)
+    np.testing.assert_array_equal(result.grid.camera_from_grid, BRICK_POSE)
+    assert result.grid.pitch_m == BRICK_PITCH_M
+    np.testing.assert_array_equal(result.loads[1].deformed, BRICK)
+
+
+def leaning() -> Vector3:
+    """An `up` to which the brick's own grid does not stand upright: it is answered in the body grid."""
+    up: Vector3 = BRICK_POSE[:3, 2] + 0.05 * BRICK_POSE[:3, 0]
+    return up
+
+
+def test_a_known_shape_that_leans_in_its_grid_is_stood_up(pipeline: Pipeline) -> None:
+    result = pipeline.predict(brick(up=leaning()))
+    expected = leaning() / np.linalg.norm(leaning())
+    np.testing.assert_allclose(result.grid.camera_from_grid[:3, 2], expected, atol=1e-9)
+    volume_m3 = result.reconstruction.sum() * result.grid.pitch_m**3
+    assert volume_m3 == pytest.approx(BRICK.sum() * BRICK_PITCH_M**3, rel=0.05)
+
+
+@pytest.mark.parametrize("up", [None, leaning()])
+def test_a_known_shape_moves_with_its_push(pipeline: Pipeline, up: Vector3 | None) -> None:
+    result = pipeline.predict(brick(up=up))
     load = result.loads[0]
     direction = result.grid.camera_from_grid[:3, :3].T @ BRICK_POSE[:3, 0]
     assert direction @ load.displacement_m[:, load.deformed].mean(axis=1) > 0.0
@@ -327,7 +352,8 @@ def test_where_nothing_is_kept_there_is_no_id(pipeline: Pipeline, answer: Deform
 
 def test_a_known_shape_is_smoothed_in_its_own_grid(pipeline: Pipeline) -> None:
     """What is looked up after a push knows the surface as the given voxels tell it, not as those of the reply do."""
-    given = KnownShape(pack_bits(BRICK).tobytes(), BRICK_PITCH_M, BRICK_POSE)
+    given = brick(up=leaning()).source
+    assert isinstance(given, KnownShape)
     body, _ = pipeline._place(given, (), Stopwatch())
     assert body.smooth is not None
     between = (body.smooth > 0.02) & (body.smooth < 0.98)
