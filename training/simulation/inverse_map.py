@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int, Int32, UInt8, UInt32
 
 from service.core.compiled import compiled
-from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated, plain_side
 from training.simulation.trilinear import coefficients
 
 Row: TypeAlias = tuple[float, float, float, float]
@@ -35,6 +35,7 @@ def material_points(
     number: Int32[np.ndarray, "n2 n2 n2"],
     polynomial: Float32[np.ndarray, "k 27"],
     doubt: Float32[np.ndarray, " k"],
+    plane: Float32[np.ndarray, "k 5"],
     cautious: bool,
     size: int,
     deformed: UInt8[np.ndarray, " voxels"],
@@ -54,6 +55,7 @@ def material_points(
         number: See `SampledDistance`.
         polynomial: See `SampledDistance`.
         doubt: See `SampledDistance`.
+        plane: See `SampledDistance`.
         cautious: Leave `NEAR` what only the distance itself can tell; else interpolation tells.
         size: Voxels along each edge of the cube.
         deformed: `OUTSIDE` before; written `INSIDE` or `NEAR`.
@@ -77,7 +79,18 @@ def material_points(
             x, y, z = u[row], v[row], w[row]
             if not (abs(x) <= bound and abs(y) <= bound and abs(z) <= bound):
                 continue
-            side = _side(ai, aj, ak, x, y, z, state, number, polynomial, doubt, cautious)
+            a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
+            i, j, k = 2 * ai + a, 2 * aj + b, 2 * ak + c
+            side = int(state[i, j, k])
+            if side == NEAR:
+                # within this loop: handing five tables to a function takes longer than most of the answers
+                octant = number[i, j, k]
+                p, q, r = 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c
+                side = plain_side(plane, octant, p, q, r)
+                if side == NEAR:
+                    value = interpolated(polynomial, octant, p, q, r)
+                    if not cautious or abs(value) > doubt[octant]:
+                        side = INSIDE if value < 0.0 else OUTSIDE
             # of two cells that meet in a voxel one that is sure of its material decides
             place = voxel[row]
             if side == OUTSIDE or (side == NEAR and deformed[place] == INSIDE):
@@ -256,30 +269,3 @@ def _fixed_point(
         if settled:
             return x, y, z
     return np.nan, np.nan, np.nan
-
-
-@compiled
-def _side(
-    ai: int,
-    aj: int,
-    ak: int,
-    x: float,
-    y: float,
-    z: float,
-    state: UInt8[np.ndarray, "n2 n2 n2"],
-    number: Int32[np.ndarray, "n2 n2 n2"],
-    polynomial: Float32[np.ndarray, "k 27"],
-    doubt: Float32[np.ndarray, " k"],
-    cautious: bool,
-) -> int:
-    """Side of the surface of the point of cell (ai, aj, ak) at local coordinates in [−½, ½]³; `NEAR` where doubtful."""
-    a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
-    i, j, k = 2 * ai + a, 2 * aj + b, 2 * ak + c
-    side = state[i, j, k]
-    if side != NEAR:
-        return int(side)
-    row = number[i, j, k]
-    value = interpolated(polynomial, row, 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c)
-    if cautious and abs(value) <= doubt[row]:
-        return NEAR
-    return INSIDE if value < 0.0 else OUTSIDE

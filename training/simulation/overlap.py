@@ -10,7 +10,7 @@ from jaxtyping import Float32, Float64, Int, Int32, UInt8
 from service.core.compiled import compiled
 from training.simulation.body import Body
 from training.simulation.elements import CORNERS
-from training.simulation.sampled import INSIDE, OUTSIDE, SampledDistance, interpolated
+from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated, plain_side
 
 _SEED = 0
 """Of the places within the octants: the same for every body, so that a set does not depend on who draws it."""
@@ -80,7 +80,7 @@ class OverlapAlong:
         points = self.overlap
         kept, volume = _volumes(
             factor, points.place, self.moved, points.cell, self.invariants, points.sampled.state,
-            points.sampled.number, points.sampled.polynomial,
+            points.sampled.number, points.sampled.polynomial, points.sampled.plane,
         )  # fmt: skip
         union = len(points.place) + volume - kept
         return kept / union if union > 0.0 else 1.0
@@ -142,6 +142,7 @@ def _volumes(
     state: UInt8[np.ndarray, "n2 n2 n2"],
     number: Int32[np.ndarray, "n2 n2 n2"],
     polynomial: Float32[np.ndarray, "k 27"],
+    plane: Float32[np.ndarray, "k 5"],
 ) -> tuple[float, float]:
     """Volume of the deformed body that was filled at rest, and all of it within the cube, in octants."""
     n = state.shape[0]
@@ -156,11 +157,13 @@ def _volumes(
             continue
         volume += ratio
         i, j, k = int(x), int(y), int(z)
-        side = state[i, j, k]
-        if side == OUTSIDE:
-            continue
-        row_of = number[i, j, k]
-        # along sharp edges, where this rounds, a thousandth of a body goes astray
-        if side == INSIDE or interpolated(polynomial, row_of, 2 * (x - i) - 1, 2 * (y - j) - 1, 2 * (z - k) - 1) < 0.0:
+        side = int(state[i, j, k])
+        if side == NEAR:
+            octant, x, y, z = number[i, j, k], 2 * (x - i) - 1, 2 * (y - j) - 1, 2 * (z - k) - 1
+            side = plain_side(plane, octant, x, y, z)
+            # along sharp edges, where this rounds, a thousandth of a body goes astray
+            if side == NEAR:
+                side = INSIDE if interpolated(polynomial, octant, x, y, z) < 0.0 else OUTSIDE
+        if side == INSIDE:
             kept += ratio
     return kept, volume

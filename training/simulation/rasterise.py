@@ -109,7 +109,7 @@ class Rasteriser:
         side = np.zeros(self.size**3, np.uint8)
         material_points(
             (body.node_positions + displacement) * self.size - 0.5, body.cell_nodes, body.active, sampled.state,
-            sampled.number, sampled.polynomial, sampled.doubt, cautious, self.size, side, self._material,
+            sampled.number, sampled.polynomial, sampled.doubt, sampled.plane, cautious, self.size, side, self._material,
         )  # fmt: skip
         return side
 

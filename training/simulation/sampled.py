@@ -30,6 +30,10 @@ _REACH = 1.25
 that are only nearly distances; ellipsoids overstate theirs by up to 17 %."""
 _ROUNDING = 1e-6
 """Of values in float32."""
+_PLANE = [0, 9, 3, 1]
+"""Columns of 1, x, y, z among the 27 coefficients."""
+_BEYOND = 1.05
+"""Room for local coordinates that lie beyond [−1, 1] by what an inverse map is solved to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,7 @@ class SampledDistance:
         polynomial: Coefficients 9·a + 3·b + c of xᵃ yᵇ zᶜ, each power up to 2, in the octant's local coordinates in
             [−1, 1]³: the quadratics through the values on its corners and half-way between.
         doubt: How far interpolation may be off: the curvature that the octant's own nodes show.
+        plane: Coefficients of 1, x, y, z, and the most that all other terms and the doubt may add anywhere in it.
     """
 
     distance: Distance
@@ -52,6 +57,7 @@ class SampledDistance:
     number: Int32[np.ndarray, "n2 n2 n2"]
     polynomial: Float32[np.ndarray, "k 27"]
     doubt: Float32[np.ndarray, " k"]
+    plane: Float32[np.ndarray, "k 5"]
 
     @classmethod
     def of(cls, distance: Distance, cells: int) -> SampledDistance:
@@ -83,7 +89,11 @@ class SampledDistance:
         state[tuple(octants[outside].T)], state[tuple(octants[inside].T)] = OUTSIDE, INSIDE
         number = np.full(state.shape, -1, np.int32)
         number[tuple(octants.T)] = np.arange(len(octants), dtype=np.int32)
-        return cls(distance, cells, state, number, values @ _TO_POLYNOMIAL, doubt)
+        polynomial = values @ _TO_POLYNOMIAL
+        plane = np.empty((len(octants), 5), np.float32)
+        plane[:, :4] = polynomial[:, _PLANE]
+        plane[:, 4] = _BEYOND * (np.abs(polynomial).sum(axis=1) - np.abs(plane[:, :4]).sum(axis=1)) + doubt
+        return cls(distance, cells, state, number, polynomial, doubt, plane)
 
     @classmethod
     def on(cls, distance: Distance, cells: int) -> SampledDistance:
@@ -95,7 +105,7 @@ class SampledDistance:
 
     def inside(self, points: Float32[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Sign of the function itself at points of the cube; it is asked only where interpolation leaves a doubt."""
-        side = _sides(points, self.state, self.number, self.polynomial, self.doubt)
+        side = _sides(points, self.state, self.number, self.polynomial, self.doubt, self.plane)
         asked = np.flatnonzero(side == NEAR)
         side[asked] = self.distance(points[asked]) < 0
         return np.asarray(side == INSIDE)
@@ -143,12 +153,24 @@ def interpolated(polynomial: Float32[np.ndarray, "k 27"], row: int, x: float, y:
 
 
 @compiled
+def plain_side(plane: Float32[np.ndarray, "k 5"], row: int, x: float, y: float, z: float) -> int:
+    """Side of a point that the plane of its octant alone can tell, at a tenth of the work; `NEAR` where it cannot."""
+    value = plane[row, 0] + (
+        np.float32(x) * plane[row, 1] + np.float32(y) * plane[row, 2] + np.float32(z) * plane[row, 3]
+    )
+    if value > plane[row, 4]:
+        return OUTSIDE
+    return INSIDE if value < -plane[row, 4] else NEAR
+
+
+@compiled
 def _sides(
     points: Float32[np.ndarray, "n 3"],
     state: UInt8[np.ndarray, "n2 n2 n2"],
     number: Int32[np.ndarray, "n2 n2 n2"],
     polynomial: Float32[np.ndarray, "k 27"],
     doubt: Float32[np.ndarray, " k"],
+    plane: Float32[np.ndarray, "k 5"],
 ) -> UInt8[np.ndarray, " n"]:
     """`INSIDE`, `OUTSIDE`, or `NEAR` where the interpolated value is not above the doubt."""
     n = state.shape[0]
@@ -156,12 +178,15 @@ def _sides(
     for row in range(len(points)):
         x, y, z = points[row, 0] * n, points[row, 1] * n, points[row, 2] * n
         i, j, k = min(max(int(x), 0), n - 1), min(max(int(y), 0), n - 1), min(max(int(z), 0), n - 1)
-        side = state[i, j, k]
-        if side == 2:
+        side = int(state[i, j, k])
+        if side == NEAR:
             m = number[i, j, k]
-            value = interpolated(polynomial, m, 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0)
-            if abs(value) > doubt[m]:
-                side = 1 if value < 0.0 else 0
+            u, v, w = 2.0 * (x - i) - 1.0, 2.0 * (y - j) - 1.0, 2.0 * (z - k) - 1.0
+            side = plain_side(plane, m, u, v, w)
+            if side == NEAR:
+                value = interpolated(polynomial, m, u, v, w)
+                if abs(value) > doubt[m]:
+                    side = INSIDE if value < 0.0 else OUTSIDE
         sides[row] = side
     return sides
 
