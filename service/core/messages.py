@@ -85,7 +85,7 @@ class Load:
 
     Attributes:
         force_n: Force vector in newtons, camera frame.
-        patch_radius_m: Radius R of the smooth traction patch; None for 0.1 of the body grid's edge.
+        patch_radius_m: Radius R of the smooth traction patch; None for 0.1 of the edge of the grid answered in.
     """
 
     force_n: Vector3
@@ -137,7 +137,7 @@ class LoadResult:
 
 @dataclass(frozen=True)
 class DeformResult:
-    """All grids share `grid`: the body grid, z up, its floor on the support plane.
+    """All grids share `grid`: the body grid or a known shape's own, z up, its floor on the support plane.
 
     `observed` is None for a known shape. `reconstruction_id` asks for the same body again, None where none are kept.
     `timing_ms` maps each stage of the pipeline to its wall time.
