@@ -62,6 +62,18 @@ def test_every_variable_is_a_setting_with_a_value_it_takes(monkeypatch):
     assert of("EXPOSE", LAST) == [f"{settings.http_port} {settings.grpc_port}"]
 
 
+def test_kernels_are_compiled_by_the_user_into_a_volume_of_its_own():
+    order = [words[0] for words in LAST]
+    (volume,) = of("VOLUME", LAST)
+    (line,) = of("ENV", LAST)
+    assert f"NUMBA_CACHE_DIR={volume}" in line.split()
+    (owned,) = [i for i, words in enumerate(LAST) if words[1].startswith("install --directory") and volume in words[1]]
+    filled = LAST.index(["RUN", '["physnet", "doctor"]'])
+    # Written to after it is declared, a volume would lose what the image is to hold.
+    assert owned < order.index("USER") < order.index("ENV") < filled < order.index("VOLUME")
+    assert f"--owner={of('USER', LAST)[0]}" in LAST[owned][1].split()
+
+
 @pytest.mark.parametrize("alive", [True, False])
 def test_the_health_check_tells_the_living_from_the_dead(alive):
     (check,) = of("HEALTHCHECK", LAST)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -26,3 +28,24 @@ def compiled(function: Kernel) -> Kernel:
     except RuntimeError:  # no place to keep the code in, as on a file system that is read only
         kernel = numba.njit(**options)(plain)
     return cast(Kernel, kernel)
+
+
+@contextmanager
+def on_compiling(tell: Callable[[], None]) -> Iterator[None]:
+    """Call a function once, before the first kernel that is compiled meanwhile; none is where all can be loaded."""
+    with event.install_listener("numba:compile", _First(tell)):
+        yield
+
+
+class _First(event.Listener):
+    def __init__(self, tell: Callable[[], None]) -> None:
+        self._tell = tell
+        self._told = False
+
+    def on_start(self, _: object) -> None:
+        if not self._told:
+            self._told = True
+            self._tell()
+
+    def on_end(self, _: object) -> None:
+        pass

@@ -197,20 +197,9 @@ def _narrow(
 def window_around(shown: Bool[np.ndarray, "rows columns"], margin: float = 0.0, margin_px: int = 0) -> Window:
     """Box around the set pixels of an image (at least one), wider on each side by a share of itself and some pixels."""
     sides = []
-    for (first, last), size in zip(_bounds(shown), shown.shape, strict=True):
+    for axis in (1, 0):
+        places = np.flatnonzero(shown.any(axis=axis))
+        first, last = int(places[0]), int(places[-1])
         more = max(margin_px, round(margin * (last - first + 1)))
-        sides.append(slice(max(first - more, 0), min(last + more + 1, size)))
+        sides.append(slice(max(first - more, 0), min(last + more + 1, shown.shape[1 - axis])))
     return sides[0], sides[1]
-
-
-@compiled
-def _bounds(shown: Bool[np.ndarray, "rows columns"]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """First and last row, first and last column with a set pixel."""
-    rows, columns = shown.shape
-    top, bottom, left, right = rows, -1, columns, -1
-    for row in range(rows):
-        for column in range(columns):
-            if shown[row, column]:
-                top, bottom = min(top, row), row
-                left, right = min(left, column), max(right, column)
-    return (top, bottom), (left, right)

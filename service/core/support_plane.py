@@ -85,6 +85,8 @@ def find_support_plane(
     normals, offsets = _hypotheses(points, weights, up)
     if len(offsets) == 0:
         return None
+    # Kernels are compiled once more for every layout that arrays come in.
+    must_be_above = np.ascontiguousarray(must_be_above)
     # A fifth of the points is enough to tell the good hypotheses from the rest.
     some, some_above = points[::5].copy(), must_be_above[::5].copy()
     rough, _ = _score(some, weights[::5].copy(), some_above, normals, offsets)

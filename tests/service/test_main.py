@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
+import sys
 
 import pytest
 
 from service.__main__ import main, parser
 from service.commands.exits import FAILED, INTERRUPTED, OK, USAGE
+from tests.conftest import ROOT
 
 
 def test_a_wrong_setting_names_its_variable(monkeypatch, capsys):
@@ -22,6 +26,27 @@ def test_a_directory_without_models_is_a_failure(tmp_path, capsys):
     assert str(tmp_path) in told
     assert "physnet doctor" in told
     assert main(["serve", "--models", str(tmp_path), "--http-port", "0", "--grpc-port", "0"]) == FAILED
+
+
+@pytest.mark.parametrize(
+    ("given", "threads"),
+    [({}, "1"), ({"OMP_NUM_THREADS": "3"}, "3"), ({"OMP_NUM_THREADS": "3", "OPENBLAS_NUM_THREADS": "2"}, "2")],
+)
+def test_numpy_finds_its_number_of_threads_when_it_is_loaded(given, threads):
+    program = (
+        "import os, sys\n"
+        "found = []\n"
+        "def hear(event, arguments):\n"
+        "    if event == 'import' and arguments[0] == 'numpy':\n"
+        "        found.append(os.environ.get('OPENBLAS_NUM_THREADS'))\n"
+        "sys.addaudithook(hear)\n"
+        "import service.__main__, numpy\n"
+        "print(found[0])\n"
+    )
+    env = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")} | given
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=env, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [threads]
 
 
 def test_no_command_is_wrong_usage(capsys):

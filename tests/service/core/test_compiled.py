@@ -1,9 +1,11 @@
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
 from numba.core.caching import _CacheLocator  # what every place to keep code in derives from
 
-from service.core.compiled import compiled
+from service.core.compiled import compiled, on_compiling
 
 
 def sum_of_squares(values: np.ndarray) -> float:
@@ -39,3 +41,16 @@ def test_the_test_runs_type_checks_do_not_hide_kernels_from_the_compiler():
 
     assert isinstance(doubled, numba.core.registry.CPUDispatcher)
     assert doubled(1.5) == 3.0
+
+
+def test_compiling_is_told_of_once_and_loading_never(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    told: list[str] = []
+    with on_compiling(lambda: told.append("compiling")):
+        kernel = compiled(sum_of_squares)
+        kernel(np.ones(2))
+        kernel(np.ones(2, np.float32))
+    assert told == ["compiling"]
+    with on_compiling(lambda: told.append("again")):
+        assert compiled(sum_of_squares)(np.ones(2)) == 2.0
+    assert told == ["compiling"]
