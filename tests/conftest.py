@@ -32,8 +32,11 @@ class LiveService:
         return self.log.read_text("utf-8")
 
 
-def start_service(log: Path, *arguments: str, timeout_s: float = 60.0) -> LiveService:
-    """Start the service and wait for its ready line; fails with its log where none comes."""
+def start_service(log: Path, *arguments: str, timeout_s: float = 120.0) -> LiveService:
+    """Start the service and wait for its ready line, in a fresh checkout until its kernels are compiled.
+
+    Fails with the service's log where no line comes.
+    """
     # The settings of whoever runs the tests are not the ones under test, but for models that are not shipped yet.
     kept = ("PHYSNET_MODELS",)
     environment = {key: value for key, value in os.environ.items() if not key.startswith("PHYSNET_") or key in kept}
