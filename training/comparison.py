@@ -8,20 +8,23 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int
+from jaxtyping import Bool, Float, Float32, Float64, Int
 from torch import nn
 
 from service.core.displacement import at_voxels
 from service.core.lookup import warp
 from training.baselines import LinearFem, NearestNeighbours, mean_shape
 from training.data.batches import DeformationBatch, DeformationSet
-from training.evaluate import MOVED
-from training.metrics import changed_voxel_iou, iou, skill
+from training.evaluate import MOVED, uncertain
+from training.metrics import calibration_curve, changed_voxel_iou, iou, skill
 from training.networks.deformation import DeformationNetwork
 from training.networks.physnet import PhysNet
 from training.predict import predict
 from training.simulation.body import BodyError
 from training.simulation.loads import LoadError
+
+TENTHS = 10
+WORST = 10
 
 Occupancies: TypeAlias = Float32[np.ndarray, "b x=64 y=64 z=64"]
 Answering: TypeAlias = Callable[[DeformationBatch], Occupancies]
@@ -47,11 +50,12 @@ class Contender:
 
 @dataclass(frozen=True)
 class Scores:
-    """Of one contender, a row a sample."""
+    """Of one contender, a row a sample; the calibration (`metrics.calibration_curve`) is of all samples together."""
 
     name: str
     iou: Float[np.ndarray, " n"]
     changed: Float[np.ndarray, " n"]
+    calibration: Float64[np.ndarray, "3 bins"]
     ms: float
 
     def figures(self, identity: Float[np.ndarray, " n"], rows: Bool[np.ndarray, " n"]) -> dict[str, float]:
@@ -100,15 +104,21 @@ def compare(rivals: Sequence[Contender], samples: DeformationSet, rows: Int[np.n
     """Score each on the same samples, one at a time as a robot asks; ms is processor time, with the coarse solve."""
     table = []
     for rival in rivals:
-        scores, started = [], time.process_time()
+        scores, curves, elapsed_s = [], [], 0.0
         for row in rows:
+            started = time.process_time()
             batch = samples.batch(np.array([row]))
+            probability = rival.answer(batch)[0]
+            elapsed_s += time.process_time() - started
             rest, truth = batch.rest[0, 0].numpy() > 0.5, batch.deformed[0].numpy() > 0.5
-            predicted = rival.answer(batch)[0] > rival.threshold
+            predicted = probability > rival.threshold
             scores.append((iou(predicted, truth), changed_voxel_iou(predicted, truth, rest)))
-        elapsed_ms = 1e3 * (time.process_time() - started) / len(rows)
+            counts = uncertain(probability, truth)
+            curves.append(calibration_curve(probability[counts], truth[counts]))
         values = np.array(scores)
-        table.append(Scores(rival.name, values[:, 0], values[:, 1], elapsed_ms))
+        table.append(
+            Scores(rival.name, values[:, 0], values[:, 1], np.sum(curves, axis=0), 1e3 * elapsed_s / len(rows))
+        )
     return table
 
 
@@ -117,12 +127,13 @@ def report(table: Sequence[Scores], samples: DeformationSet, rows: Int[np.ndarra
     identity = samples.identity_iou[rows].astype(float)
     load, peak = samples.condition[rows, 6], samples.peak[rows]
     families = np.array(samples.family)[samples.body[rows]]
+    along = {"log10 of the load number": load, "peak displacement, edges of the grid": peak}
     bands = {"all": np.ones(len(rows), bool)}
     for name, values in (("load number", load), ("peak displacement", peak)):
         third = np.argsort(np.argsort(values, kind="stable")) * 3 // len(values)
         bands |= {f"{name}: {part} third": third == i for i, part in enumerate(("lowest", "middle", "highest"))}
     bands |= {f"family: {family}": families == family for family in np.unique(families)}
-    worst = np.argsort(table[-1].iou)[:10]
+    worst = np.argsort(table[-1].iou)[:WORST]
     return {
         "samples": len(rows),
         "identity": float(identity.mean()),
@@ -132,12 +143,24 @@ def report(table: Sequence[Scores], samples: DeformationSet, rows: Int[np.ndarra
             for band, chosen in bands.items()
             if chosen.any()
         },
+        "curves": {name: _curve(values, table) for name, values in along.items()},
+        "calibration": {scores.name: scores.calibration.tolist() for scores in table},
         "worst": [
             {"row": int(rows[i]), "family": str(families[i]), "identity": float(identity[i]),
              "iou": float(table[-1].iou[i]), "log10_load_number": float(load[i])}
             for i in worst
         ],
     }  # fmt: skip
+
+
+def _curve(values: Float[np.ndarray, " n"], table: Sequence[Scores]) -> list[dict[str, Any]]:
+    """Mean IoU of every contender over tenths of the samples, from the least of these values to the largest."""
+    tenths = [part for part in np.array_split(np.argsort(values, kind="stable"), TENTHS) if len(part)]
+    return [
+        {"middle": float(np.median(values[part])), "samples": len(part),
+         "iou": {scores.name: float(scores.iou[part].mean()) for scores in table}}
+        for part in tenths
+    ]  # fmt: skip
 
 
 def markdown(found: dict[str, Any]) -> str:

@@ -6,10 +6,16 @@ CPU in a camera's period. `icgan` is the paper's baseline.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
+import numpy as np
+from jaxtyping import Bool
+
+from service.core.condition import CONDITION_FIELDS
+from training.data.batches import DeformationSet
 from training.networks.build import DeformationKind, ReconstructionKind
 from training.networks.conditions import ConditionConfig
 from training.networks.critic import CriticConfig
@@ -97,6 +103,31 @@ class FitConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """Samples of some families, or with one field of the condition within a band.
+
+    Attributes:
+        families: Of the bodies.
+        field: One of `service.core.condition.CONDITION_FIELDS`; None looks at the families alone.
+        low: Where the band begins.
+        high: Where it ends.
+    """
+
+    families: tuple[str, ...] = ()
+    field: str | None = None
+    low: float = -math.inf
+    high: float = math.inf
+
+    def holds(self, samples: DeformationSet) -> Bool[np.ndarray, " n"]:
+        """Which samples are of this kind."""
+        found = np.isin(np.array(samples.family)[samples.body], self.families)
+        if self.field is not None:
+            values = samples.condition[:, CONDITION_FIELDS.index(self.field)]
+            found |= (values >= self.low) & (values <= self.high)
+        return found
+
+
+@dataclass(frozen=True, kw_only=True)
 class FitDeformationConfig(FitConfig):
     """All that a run is made of.
 
@@ -106,6 +137,7 @@ class FitDeformationConfig(FitConfig):
         points: Voxels of each sample at which a displacement's occupancy is compared, most of them near a surface.
         occupancy_weight: Weight of that cross-entropy beside the relative displacement error, of order one each.
         kl_weight: Weight of the latent's divergence from its prior, per nat.
+        held_out: What is not trained on, to see what that does there.
     """
 
     network: DeformationKind = field(default_factory=DeformationConfig)
@@ -114,6 +146,7 @@ class FitDeformationConfig(FitConfig):
     occupancy_weight: float = 1.0
     kl_weight: float = 1e-4
     points: int = 1536
+    held_out: HeldOut | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -138,7 +171,7 @@ SMALL_CRITIC = (16, 32, 64, 64)
 """Channels of a critic that costs about as much as a realtime generator."""
 
 REALTIME = FitDeformationConfig(
-    steps=1200, optimizer=OptimizerConfig(learning_rate=7e-4, weight_decay=1e-2), validate_every=300,
+    steps=2800, optimizer=OptimizerConfig(learning_rate=7e-4, weight_decay=0.1), validate_every=400,
     validation_samples=120, points=768,
 )
 

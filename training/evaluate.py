@@ -101,8 +101,15 @@ def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold:
     return figures
 
 
+def uncertain(
+    probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]
+) -> Bool[np.ndarray, "x y z"]:
+    """The voxels that calibration is asked of, see `UNCERTAIN`."""
+    return (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
+
+
 def _calibration(probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]) -> float:
-    counts = (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
+    counts = uncertain(probability, truth)
     return calibration_error(probability[counts], truth[counts])
 
 

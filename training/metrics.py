@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 from scipy import ndimage
 
 ACTIVE_VARIANCE = 0.01
@@ -134,6 +134,15 @@ def visible_and_occluded_iou(
     return iou(predicted & visible, truth & visible), iou(predicted & ~visible, truth & ~visible)
 
 
+def calibration_curve(
+    probability: Float[np.ndarray, "*shape"], truth: Bool[np.ndarray, "*shape"], bins: int = 15
+) -> Float64[np.ndarray, "3 bins"]:
+    """Voxels, the sum of their probabilities and the true ones among them, in equal bins of the probability."""
+    place = np.minimum((probability.ravel() * bins).astype(int), bins - 1)
+    of_voxels = (None, probability.ravel().astype(np.float64), truth.ravel().astype(np.float64))
+    return np.stack([np.bincount(place, weights, minlength=bins).astype(np.float64) for weights in of_voxels])
+
+
 def calibration_error(
     probability: Float[np.ndarray, "*shape"], truth: Bool[np.ndarray, "*shape"], bins: int = 15
 ) -> float:
@@ -143,7 +152,5 @@ def calibration_error(
 
     Source: Guo et al., "On Calibration of Modern Neural Networks", ICML 2017, eq. 3.
     """
-    place = np.minimum((probability.ravel() * bins).astype(int), bins - 1)
-    said = np.bincount(place, weights=probability.ravel().astype(np.float64), minlength=bins)
-    found = np.bincount(place, weights=truth.ravel().astype(np.float64), minlength=bins)
+    _, said, found = calibration_curve(probability, truth, bins)
     return float(np.abs(said - found).sum() / max(probability.size, 1))

@@ -1,11 +1,13 @@
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from tests.training import tiny
 from training.comparison import compare, contenders, markdown, report
 from training.data.batches import DeformationSet
+from training.data.contact_sheet import TILE
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +32,16 @@ def test_every_rival_is_scored_on_the_same_samples(sets: tuple[DeformationSet, D
     assert found["bands"]["all"]["nothing moves"]["skill"] == pytest.approx(0.0, abs=1e-6)
     assert found["bands"]["family: box"]["samples"] == len(test) == found["samples"]
     assert len(found["worst"]) == min(10, len(test))
+    for parts in found["curves"].values():
+        assert sum(part["samples"] for part in parts) == len(test)
+        middles = [part["middle"] for part in parts]
+        assert middles == sorted(middles)
+        everywhere = np.average([part["iou"]["network"] for part in parts], weights=[p["samples"] for p in parts])
+        assert everywhere == pytest.approx(table[-1].iou.mean())
+    voxels, said, true = np.array(found["calibration"]["nothing moves"])
+    assert not voxels[1:-1].any()  # it is always sure: what counts is where it is wrong
+    assert said.sum() == voxels[-1]
+    assert not true[-1]
     text = markdown(found)
     assert text.count("\n| network | ") == 1
     assert "| load number: highest third |" in text
@@ -48,5 +60,9 @@ def test_the_command_writes_both_reports(tmp_path: Path, capsys: pytest.CaptureF
     arguments = ["compare", "--run", str(tmp_path / "run"), "--data", str(data), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--samples", "2", "--cells", "8"]) == 0
     assert (tmp_path / "out" / "comparison.md").read_text() in capsys.readouterr().out
+    assert b"<svg" in (tmp_path / "out" / "curves.svg").read_bytes()
+    sheet = cv2.imread(str(tmp_path / "out" / "worst.png"))
+    assert sheet.shape == (2 * TILE, 2 * TILE, 3)  # two samples, true and given
+    assert (sheet < 250).any(axis=2).mean() > 0.05
     assert main(["compare", "--run", str(tmp_path), "--data", str(data), "--out", str(tmp_path / "no")]) == 1
     assert not (tmp_path / "no").exists()

@@ -1,14 +1,19 @@
 import dataclasses
+from pathlib import Path
 
+import numpy as np
 import pytest
 
+from tests.training import tiny
 from training.configs import (
     DEFORMATION_PRESETS,
     KL_PER_VOXEL,
     RECONSTRUCTION_PRESETS,
     ConfigError,
+    HeldOut,
     chosen,
 )
+from training.data.batches import DeformationSet
 
 
 def test_the_papers_numbers() -> None:
@@ -33,3 +38,12 @@ def test_a_command_line_changes_what_it_names_alone() -> None:
 def test_an_unknown_preset_is_answered_with_those_that_are_known() -> None:
     with pytest.raises(ConfigError, match="no preset huge; choose one of realtime, realtime-gan, paper"):
         chosen(RECONSTRUCTION_PRESETS, "huge", None, None, None)
+
+
+def test_what_is_held_out_is_a_family_or_a_band(tmp_path: Path) -> None:
+    samples = DeformationSet.load(tiny.write_deformations(tmp_path), "train", prior=False)
+    assert HeldOut(families=("box",)).holds(samples).all()
+    assert not HeldOut(families=("bowl",)).holds(samples).any()
+    stronger = HeldOut(field="log10_load_number", low=-2.3).holds(samples)
+    np.testing.assert_array_equal(stronger, samples.condition[:, 6] > -2.3)
+    assert 0 < stronger.sum() < len(samples)

@@ -159,7 +159,7 @@ class Overshooting(DeformationNetwork):
         heights = (torch.arange(16) + 0.5) / 16
         field = torch.zeros(len(condition), 3, 16, 16, 16)
         field[:, 0] = (tiny.SHEAR * 10.0 ** condition[:, 6])[:, None, None, None] * heights
-        field = field * self.generator.head.bias[0]
+        field = field * self.generator.own.bias[0]
         latent = torch.zeros(len(condition), 3)
         return field, latent, latent
 
@@ -176,5 +176,5 @@ def test_the_share_of_the_correction_is_tuned(deformations: Path, said: float, s
 
     halved = Half(**{field.name: getattr(samples, field.name) for field in dataclasses.fields(samples)})
     network = Overshooting()
-    torch.nn.init.constant_(network.generator.head.bias, said)
+    torch.nn.init.constant_(network.generator.own.bias, said)
     assert tune_share(network, halved) == share

@@ -101,7 +101,7 @@ def test_a_graph_that_differs_from_torch_is_not_written(
 
     def write_another(graph: nn.Module, tensors: Any, path: Path) -> None:
         other = copy.deepcopy(graph)
-        head = other.network.head[-1] if kind == "reconstruction" else other.network.generator.head
+        head = other.network.head[-1] if kind == "reconstruction" else other.network.generator.own
         torch.nn.init.constant_(head.bias, 0.5)
         write(other, tensors, path)
 

@@ -3,6 +3,7 @@ import pytest
 
 from training.metrics import (
     active_latents,
+    calibration_curve,
     calibration_error,
     chamfer_distance,
     changed_voxel_iou,
@@ -127,3 +128,10 @@ def test_calibration_error_by_hand() -> None:
     assert calibration_error(probability, truth) == pytest.approx(0.1)
     assert calibration_error(np.array([1.0, 0.0]), np.array([True, False])) == 0.0
     assert calibration_error(np.zeros(0), np.zeros(0, bool)) == 0.0
+
+
+def test_the_calibration_curve_by_hand() -> None:
+    voxels, said, found = calibration_curve(np.array([0.1, 0.6, 0.7, 1.0]), np.array([False, True, False, True]), 2)
+    assert voxels.tolist() == [1.0, 3.0]
+    assert said.tolist() == pytest.approx([0.1, 2.3])
+    assert found.tolist() == [0.0, 2.0]

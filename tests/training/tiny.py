@@ -28,7 +28,9 @@ from training.simulation.rasterise import Rasterised
 # Tests share the machine with whatever else runs on it.
 torch.set_num_threads(1)
 
-DEFORMATION = DeformationConfig(channels=(4, 4), blocks=(1, 1), latent=3, condition=8)
+DEFORMATION = DeformationConfig(
+    channels=(4, 4, 4), encoder_blocks=(1, 0, 0), generator_blocks=(1, 1), latent=3, condition=8
+)
 RECONSTRUCTION = ReconstructionConfig(channels=(4, 4, 4, 4), blocks=(0, 1, 0, 0))
 OPTIMIZER = OptimizerConfig(warm_up=2)
 FIT_DEFORMATION = FitDeformationConfig(
@@ -129,7 +131,7 @@ def deformation_network(seed: int = 0) -> DeformationNetwork:
     """Random weights, those of the silent last layers too, with running statistics of a few passes, ready to answer."""
     torch.manual_seed(seed)
     network = DeformationNetwork(DEFORMATION)
-    for layer in (network.generator.head, network.generator.whole[-1]):
+    for layer in network.generator.last_layers:
         torch.nn.init.normal_(layer.weight, std=0.3)
         torch.nn.init.normal_(layer.bias, std=0.3)
     with torch.no_grad():

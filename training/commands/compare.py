@@ -14,7 +14,7 @@ def add_compare(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "compare",
         help="put a deformation network beside no motion, known answers, finite elements and the coarse solve",
         description="Score a deformation network and its rivals one load at a time on bodies it has never seen; write "
-        "comparison.md and comparison.json.",
+        "comparison.md, comparison.json, curves.svg and worst.png.",
     )
     parser.add_argument("--run", dest="run_folder", type=Path, required=True)
     parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
@@ -30,6 +30,7 @@ def _compare(options: argparse.Namespace) -> int:
     import torch
 
     from training.comparison import compare, contenders, deforming, markdown, report
+    from training.comparison_pictures import curves, worst
     from training.data.batches import DeformationSet
     from training.data.store import StoreError
     from training.evaluate import as_served
@@ -50,5 +51,7 @@ def _compare(options: argparse.Namespace) -> int:
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "comparison.json").write_text(json.dumps(found, indent=1) + "\n")
     (options.out / "comparison.md").write_text(markdown(found))
+    (options.out / "curves.svg").write_bytes(curves(found))
+    (options.out / "worst.png").write_bytes(worst(found, rivals[-1], samples))
     print(markdown(found), end="")
     return 0

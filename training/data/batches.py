@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float16, Float32, Float64, Int, UInt8
+from jaxtyping import Bool, Float, Float16, Float32, Float64, Int, UInt8
 from torch import Tensor
 
 from training.data.fields import unpack_nodes
@@ -121,13 +121,20 @@ class DeformationSet:
             law=tuple(law), prior=Priors(bodies, of_sample, values["condition"]) if prior else None, **values,
         )  # fmt: skip
 
+    def only(self, chosen: Bool[np.ndarray, " n"]) -> DeformationSet:
+        """Some of the samples; all bodies stay, those without a sample too."""
+        rows = np.flatnonzero(chosen)
+        columns = {key: getattr(self, key)[rows] for key in ("body", "step", *COLUMNS)}
+        law = tuple(self.law[row] for row in rows)
+        return replace(self, law=law, prior=self.prior.only(rows) if self.prior else None, **columns)
+
     def batch(self, rows: Int[np.ndarray, " b"]) -> DeformationBatch:
         """The samples of these rows, each with its own body."""
         return self._batch(self.body[rows], rows)
 
     def batch_by_body(self, bodies: int, loads: int, rng: np.random.Generator) -> DeformationBatch:
         """Random loads on a few random bodies, which the encoder then sees once each."""
-        chosen = rng.choice(len(self.rest), bodies, replace=False)
+        chosen = rng.choice(np.unique(self.body), bodies, replace=False)
         rows = []
         for body in chosen:
             own = np.flatnonzero(self.body == body)

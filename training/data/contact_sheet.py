@@ -39,7 +39,7 @@ def contact_sheet(store: Store, samples: int = 24, seed: int = 0) -> bytes:
         row = int(rng.integers(len(group["sample"])))
         tiles.append(_tile(group, row, f"{index}.{row} {group['family']}"))
     overlaps = [group["identity_iou"] for _, group in store.groups() if "identity_iou" in group]
-    sheet = _arranged(tiles)
+    sheet = arranged(tiles)
     if overlaps:
         sheet = np.concatenate([sheet, _histogram(np.concatenate(overlaps), sheet.shape[1])])
     return cv2.imencode(".png", sheet)[1].tobytes()
@@ -52,7 +52,12 @@ def _tile(group: dict[str, np.ndarray], row: int, title: str) -> Picture:
     else:
         picture = draw([(unpack_bits(group["rest"]), REST), (unpack_bits(group["deformed"][row]), DEFORMED)])
         note = f"IoU {group['identity_iou'][row]:.2f} {group['law'][row]}"
-    for line, text in enumerate((title, note)):
+    return captioned(picture, title, note)
+
+
+def captioned(picture: Picture, *lines: str) -> Picture:
+    """The picture with these lines written at its top."""
+    for line, text in enumerate(lines):
         cv2.putText(picture, text, (4, 12 + 13 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.36, (70, 70, 70), 1, cv2.LINE_AA)
     return picture
 
@@ -122,11 +127,12 @@ def _shifted(occupancy: Occupancy, axis: int, step: int) -> Bool[np.ndarray, "x 
     return shifted
 
 
-def _arranged(tiles: list[Picture]) -> Picture:
-    rows = -(-len(tiles) // COLUMNS)
-    sheet = np.tile(PAPER, (rows * TILE, min(COLUMNS, len(tiles)) * TILE, 1))
+def arranged(tiles: list[Picture], columns: int = COLUMNS) -> Picture:
+    """Tiles side by side, row by row."""
+    rows = -(-len(tiles) // columns)
+    sheet = np.tile(PAPER, (rows * TILE, min(columns, len(tiles)) * TILE, 1))
     for number, tile in enumerate(tiles):
-        row, column = divmod(number, COLUMNS)
+        row, column = divmod(number, columns)
         sheet[row * TILE : (row + 1) * TILE, column * TILE : (column + 1) * TILE] = tile
     return sheet
 

@@ -41,6 +41,11 @@ class Priors:
         forward, backward = (np.stack([answer[i] for answer in known]).astype(np.float32) for i in (0, 1))
         return forward, backward
 
+    def only(self, rows: Int[np.ndarray, " k"]) -> Priors:
+        """Those of some samples, with what is known of them already."""
+        known = {i: self._known[row] for i, row in enumerate(rows.tolist()) if row in self._known}
+        return Priors(self.rest, self.body[rows], self.condition[rows], known)
+
     def _solve(self, body: int) -> None:
         """All samples of a body, those of one Poisson's ratio at once."""
         occupancy = unpack_bits(self.rest[body])

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from training.networks.blocks import LEAKY_SLOPE
+from training.networks.blocks import LEAKY_SLOPE, PlaneBlock, ResidualPlaneBlock
 
 SIZE = 64
 
@@ -33,33 +33,6 @@ class ReconstructionConfig:
     channels: tuple[int, int, int, int] = (48, 128, 192, 224)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 2)
     detail: int = 32
-
-
-class PlaneBlock(nn.Module):
-    """Convolution, batch normalisation (folded away at export) and leaky ReLU."""
-
-    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int = 1) -> None:
-        super().__init__()
-        padding = (kernel - 1) // 2 if stride == 1 else 0
-        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding, bias=False)
-        self.norm = nn.BatchNorm2d(outputs)
-        self.activation = nn.LeakyReLU(LEAKY_SLOPE)
-
-    def forward(self, x: Tensor) -> Tensor:
-        y: Tensor = self.activation(self.norm(self.conv(x)))
-        return y
-
-
-class ResidualPlaneBlock(nn.Module):
-    """One 3² convolution around which the signal also passes unchanged."""
-
-    def __init__(self, channels: int) -> None:
-        super().__init__()
-        self.block = PlaneBlock(channels, channels, 3)
-
-    def forward(self, x: Tensor) -> Tensor:
-        y: Tensor = x + self.block(x)
-        return y
 
 
 class Coarser(nn.Module):

@@ -74,6 +74,20 @@ def test_a_batch_by_body_holds_only_loads_of_its_bodies(deformations: Path) -> N
         assert height == pytest.approx(float(batch.condition[i, 2]), abs=1 / 64)
 
 
+def test_some_of_the_samples_keep_their_bodies_and_what_is_known_of_them(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "train")
+    whole = samples.batch(np.array([1, 4]))
+    chosen = np.zeros(len(samples), bool)
+    chosen[[1, 4]] = True
+    some = samples.only(chosen)
+    assert len(some) == len(some.law) == 2
+    batch = some.batch(np.array([0, 1]))
+    for name in ("rest", "condition", "deformed", "displacement", "forward", "prior_forward", "prior_backward"):
+        assert torch.equal(getattr(batch, name), getattr(whole, name)), name
+    drawn = some.batch_by_body(2, 3, np.random.default_rng(0))  # the third body has no sample left
+    assert {float(peak) for peak in drawn.peak} == {float(peak) for peak in whole.peak}
+
+
 def test_all_is_every_body(deformations: Path) -> None:
     assert len(DeformationSet.load(deformations, "all").rest) == len(tiny.GROUPS)
 

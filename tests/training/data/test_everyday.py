@@ -16,7 +16,7 @@ from training.data.everyday import EverydayConfig, draw_group
 from training.data.fields import unpack_fields, unpack_nodes
 from training.data.generate import Dropped
 from training.metrics import iou
-from training.networks.deformation import sample_field
+from training.networks.warping import sample_field
 
 CONFIG = EverydayConfig(
     seed=12, families=("box", "bridge", "T", "cylinder"), cells=16, vessel_cells=16, thickness=1.8, loads=1,
