@@ -15,6 +15,7 @@ from scipy import ndimage
 
 from training.simulation.cell_lookup import DEPTHS, locate, settle
 from training.simulation.clamp import Bed, Clamp, RigidClamp
+from training.simulation.element_order import gather, scatter
 from training.simulation.elements import CORNERS, shape_functions
 from training.simulation.sampled import SampledDistance
 from training.simulation.skin import Skin
@@ -179,14 +180,14 @@ class Body:
 
     def gather(self, nodal: Float64[np.ndarray, "nodes 3"]) -> Float64[np.ndarray, "24 m"]:
         """Nodal vectors in element order, cells last."""
-        return np.ascontiguousarray(nodal[self.cell_nodes].reshape(-1, 24).T)
+        element = np.empty((24, len(self.cell_nodes)))
+        gather(nodal, self.cell_nodes, element)
+        return element
 
     def scatter(self, element: Float64[np.ndarray, "24 m"]) -> Float64[np.ndarray, "nodes 3"]:
         """Sum element vectors into nodal ones."""
-        nodal = np.empty((self.nodes, 3))
-        index = self.cell_nodes.T.ravel()
-        for axis in range(3):
-            nodal[:, axis] = np.bincount(index, weights=element[axis::3].ravel(), minlength=self.nodes)
+        nodal = np.zeros((self.nodes, 3))
+        scatter(element, self.cell_nodes, nodal)
         return nodal
 
     def clamp_forces(

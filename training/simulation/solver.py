@@ -42,12 +42,11 @@ class LinearSolver:
         self.tangent = self.element.tangent(np.zeros((24, cells)), np.zeros((self.element.internal, cells)))
         self.stiffness = self.assemble(self.tangent.stiffness)
         self.factor: Factor = factorise(self.stiffness, backend)
-        self._backend = backend
 
     @cached_property
     def tangent_factor(self) -> Factor:
-        """A second factor on the same pattern, for the tangents of nonlinear states; its ordering is found once."""
-        return factorise(self.stiffness, self._backend)
+        """A second factor on the same pattern, for the tangents of nonlinear states."""
+        return self.factor.twin()
 
     def assemble(self, element: Float64[np.ndarray, "300 m"]) -> sp.csr_array:
         """Upper triangle of the global matrix over the free degrees of freedom, the foundation's included."""

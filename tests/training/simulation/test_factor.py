@@ -36,6 +36,21 @@ def test_refactoring_uses_the_new_values_and_leaves_the_callers_matrix(backend):
     np.testing.assert_array_equal(upper.data, before)
 
 
+def test_a_twin_is_an_approximate_inverse_of_its_own_values(backend):
+    """Single precision where the library has it; the first factor stays what it was."""
+    upper = laplacian()
+    factor = factorise(upper, backend)
+    twin = factor.twin()
+    twin.refactor(4.0 * upper.data)
+    rhs = np.random.default_rng(0).normal(size=(200, 2))
+    exact = np.linalg.solve(full(upper), rhs)
+    np.testing.assert_allclose(4.0 * twin.solve(rhs), exact, atol=1e-3 * np.abs(exact).max())
+    np.testing.assert_allclose(factor.solve(rhs), exact, atol=1e-9 * np.abs(exact).max())
+    assert twin.solve(rhs).dtype == np.float64
+    with pytest.raises(NotPositiveDefinite):
+        twin.refactor(-upper.data)
+
+
 def test_two_factors_live_side_by_side(backend):
     first, second = factorise(laplacian(), backend), factorise(10.0 * laplacian(), backend)
     rhs = np.ones((200, 1))
