@@ -46,6 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     export.add_argument("--models", type=Path, default=Path("models"), help="folder that holds all models")
     export.add_argument("--name", required=True)
     export.add_argument("--version", required=True)
+    export.add_argument("--int8", action="store_true", help="in 8-bit integers if that loses next to nothing (views)")
     export.set_defaults(run=_export)
 
     add_compare(commands)
@@ -103,6 +104,7 @@ def _export(options: argparse.Namespace) -> int:
     from training.data.store import StoreError
     from training.evaluate import evaluate
     from training.export import ExportError, condition_range_of, export_model
+    from training.quantise import quantise
 
     checkpoint = options.run_folder / "checkpoint.pt"
     ranges: dict[str, tuple[float, float]] = {}
@@ -111,9 +113,12 @@ def _export(options: argparse.Namespace) -> int:
         if "samples_moved" in figures:
             ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
         manifest = export_model(checkpoint, options.models, options.name, options.version, threshold, ranges, figures)
+        if options.int8:
+            manifest = quantise(options.models / options.name / options.version, options.data)
     except (ExportError, StoreError, FileNotFoundError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
+    figures = manifest.evaluation
     print(f"{manifest.name} {manifest.version}: differs from torch by {manifest.parity:.1e}; {json.dumps(figures)}")
     return 0
 

@@ -26,7 +26,7 @@ from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork, shrunk
-from training.networks.reconstruction import Coarser, ReconstructionNetwork
+from training.networks.reconstruction import Coarser, ReconstructionNetwork, tempered
 
 OPSET = 20
 PARITY_TOLERANCE = 1e-4
@@ -86,7 +86,8 @@ def export_model(
 ) -> Manifest:  # fmt: skip
     """Write `directory/name/version/{model.onnx, manifest.json, CARD.md}`.
 
-    A deformation network says the share of its correction that the evaluation was made with.
+    A deformation network says the share of its correction that the evaluation was made with, a reconstruction network
+    is as sure as it was there.
 
     Raises:
         ExportError: ONNX Runtime's answers differ from torch's by more than 1e-4 on random inputs.
@@ -94,6 +95,8 @@ def export_model(
     network, state = load_network(checkpoint)
     if isinstance(network, DeformationNetwork):
         network = shrunk(network, evaluation.get("correction_share", 1.0))
+    if isinstance(network, ReconstructionNetwork):
+        network = tempered(network, evaluation.get("temperature", 1.0))
     kind, graph, tensors = _graph(network)
     folder = directory / name / version
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +111,7 @@ def export_model(
         candidate.replace(folder / "model.onnx")
     manifest = Manifest(
         name=name, version=version, kind=kind, graph="model.onnx",
-        files={"model.onnx": hashlib.sha256((folder / "model.onnx").read_bytes()).hexdigest()},
+        files={},
         inputs=tuple(TensorSpec(n, s) for n, s in tensors.inputs.items()),
         outputs=tuple(TensorSpec(n, s) for n, s in tensors.outputs.items()),
         grid_contract=GRID_CONTRACT,
@@ -117,10 +120,15 @@ def export_model(
         run=checkpoint.parent.name, dataset=state["dataset"], commit=code_version(), parity=parity,
         evaluation=evaluation,
     )  # fmt: skip
+    return write_manifest(folder, manifest)
+
+
+def write_manifest(folder: Path, manifest: Manifest) -> Manifest:
+    """Write card and manifest of the graph that lies in the folder; the manifest comes back with all digests."""
     card = folder / "CARD.md"
     card.write_text(model_card(manifest))
-    card_digest = hashlib.sha256(card.read_bytes()).hexdigest()
-    manifest = replace(manifest, files={**manifest.files, "CARD.md": card_digest})
+    digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (folder / manifest.graph, card)}
+    manifest = replace(manifest, files=digests)
     (folder / "manifest.json").write_text(json.dumps(manifest.to_json(), indent=1) + "\n")
     return manifest
 

@@ -89,10 +89,21 @@ def surface_distances(
     """
     if not predicted.any() or not truth.any():
         raise ValueError("an empty body has no surface to measure a distance to")
+    predicted, truth = _around(predicted, truth)
     of_predicted, of_truth = surface(predicted), surface(truth)
     to_truth = ndimage.distance_transform_edt(~of_truth)[of_predicted]
     to_predicted = ndimage.distance_transform_edt(~of_predicted)[of_truth]
     return np.asarray(to_truth), np.asarray(to_predicted)
+
+
+def _around(*grids: Bool[np.ndarray, "x y z"]) -> tuple[Bool[np.ndarray, "x y z"], ...]:
+    """What of the grids lies in the box around all of their bodies: distances between them are the same there."""
+    either = np.logical_or.reduce(grids)
+    place = []
+    for axis in range(3):
+        filled = np.flatnonzero(either.any(axis=tuple(other for other in range(3) if other != axis)))
+        place.append(slice(filled[0], filled[-1] + 1))
+    return tuple(grid[tuple(place)] for grid in grids)
 
 
 def chamfer_distance(predicted: Bool[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]) -> float:
@@ -130,6 +141,7 @@ def visible_and_occluded_iou(
     """
     if not observed.any():
         return 1.0, iou(predicted, truth)
+    predicted, truth, observed = _around(predicted, truth, observed)
     visible = ndimage.distance_transform_edt(~observed) <= within_voxels
     return iou(predicted & visible, truth & visible), iou(predicted & ~visible, truth & ~visible)
 
@@ -152,5 +164,10 @@ def calibration_error(
 
     Source: Guo et al., "On Calibration of Modern Neural Networks", ICML 2017, eq. 3.
     """
-    _, said, found = calibration_curve(probability, truth, bins)
-    return float(np.abs(said - found).sum() / max(probability.size, 1))
+    return error_of_curve(calibration_curve(probability, truth, bins))
+
+
+def error_of_curve(curve: Float[np.ndarray, "3 bins"]) -> float:
+    """The same of a `calibration_curve`, or of the sum of several grids' curves; 0 of no voxels."""
+    voxels, said, found = curve
+    return float(np.abs(said - found).sum() / max(voxels.sum(), 1.0))

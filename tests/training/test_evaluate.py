@@ -13,6 +13,7 @@ from training.evaluate import (
     evaluate_deformation,
     evaluate_reconstruction,
     tune_share,
+    tune_temperature,
     tune_threshold,
 )
 from training.networks.deformation import DeformationNetwork
@@ -123,6 +124,22 @@ def test_the_threshold_that_tells_body_from_rest_is_found(views: Path) -> None:
     samples = ViewSet.load(views, "train")
     assert tune_threshold(Seeing(samples, 0.62, 0.57), samples) == 0.6
     assert 0.8 in THRESHOLDS
+
+
+class Doubtful(Seeing):
+    """Says 2.2 units of logit for what is so three times in four."""
+
+    def __init__(self, samples: ViewSet) -> None:
+        super().__init__(samples, 0.5, 0.5)
+        truth = samples.batch(np.arange(len(samples))).truth > 0.5
+        wrong = torch.rand(truth.shape, generator=torch.Generator().manual_seed(0)) < 0.25
+        self.logits = torch.where(truth ^ wrong, 2.2, -2.2)
+
+
+def test_the_temperature_takes_back_what_is_too_sure(views: Path) -> None:
+    """Right three times in four is ln 3 of logit."""
+    samples = ViewSet.load(views, "validation")
+    assert tune_temperature(Doubtful(samples), samples) == pytest.approx(2.2 / np.log(3), rel=0.02)
 
 
 def test_a_network_is_not_judged_on_the_other_networks_data(views: Path) -> None:

@@ -8,6 +8,7 @@ from training.metrics import (
     chamfer_distance,
     changed_voxel_iou,
     displacement_error,
+    error_of_curve,
     f_score,
     iou,
     skill,
@@ -135,3 +136,11 @@ def test_the_calibration_curve_by_hand() -> None:
     assert voxels.tolist() == [1.0, 3.0]
     assert said.tolist() == pytest.approx([0.1, 2.3])
     assert found.tolist() == [0.0, 2.0]
+
+
+def test_doubts_of_several_grids_may_cancel() -> None:
+    """One grid is always right at one half, the other never: each is off by one half, the two together by nothing."""
+    probability, right, wrong = np.full(8, 0.5), np.ones(8, bool), np.zeros(8, bool)
+    each = [calibration_curve(probability, truth) for truth in (right, wrong)]
+    assert [error_of_curve(curve) for curve in each] == [0.5, 0.5]
+    assert error_of_curve(each[0] + each[1]) == 0.0

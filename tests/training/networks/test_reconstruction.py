@@ -1,7 +1,7 @@
 import torch
 
 from tests.training import tiny
-from training.networks.reconstruction import Coarser, ReconstructionConfig, ReconstructionNetwork, spoken
+from training.networks.reconstruction import Coarser, ReconstructionConfig, ReconstructionNetwork, spoken, tempered
 
 
 def test_a_logit_for_every_voxel() -> None:
@@ -83,3 +83,12 @@ def test_coarser_is_a_convolution_of_stride_two() -> None:
     x = torch.randn(2, 3, 8, 6)
     expected = torch.nn.functional.leaky_relu(block.norm(block.conv(x)), 0.2)
     torch.testing.assert_close(block(x.permute(0, 2, 3, 1)), expected)
+
+
+def test_a_temperature_divides_the_logits() -> None:
+    network = tiny.reconstruction_network()
+    view = torch.rand(1, 2, 64, 64, 64, generator=torch.Generator().manual_seed(1)).round()
+    with torch.no_grad():
+        plain, divided, again = network(view), tempered(network, 1.6)(view), network(view)
+    torch.testing.assert_close(divided, plain / 1.6)
+    assert torch.equal(plain, again)
