@@ -61,6 +61,7 @@ SHEAR = 60.0
 """Slope of the displacement over the height, for a load number of 1."""
 
 CENTRES = (np.indices((64, 64, 64), dtype=np.float32) + 0.5) / 64
+NODES = (np.indices((32, 32, 32), dtype=np.float32) + 0.5) / 32
 
 
 def box(group: int) -> np.ndarray:
@@ -73,7 +74,7 @@ def box(group: int) -> np.ndarray:
 def sheared(rest: np.ndarray, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The body sheared over its clamp by u(y) = shift·z, and the field, NaN outside the deformed body."""
     backward = shift.astype(np.float32)[:, None, None, None] * CENTRES[2]
-    deformed = warp(rest, backward) > 0.5
+    deformed = warp(rest, shift.astype(np.float32)[:, None, None, None] * NODES[2]) > 0.5
     return deformed, np.where(deformed, backward, np.nan).astype(np.float32)
 
 
@@ -91,7 +92,8 @@ def deformation_group(group: int) -> dict[str, np.ndarray]:
             np.ascontiguousarray(forward[:, rest].T), float(shift[0] * height), float(shift[0] * height / 2),
         )  # fmt: skip
         load = Load(np.array([0.5, 0.5, height]), np.array([1.0, 0.0, 0.0]), 10.0**log_load, 0.1)
-        outcome = Outcome("linear", 1e-4, np.nan, Reaction(-load.load_number * load.direction, np.zeros(3)))
+        reaction = Reaction(-load.load_number * load.direction, np.zeros(3))
+        outcome = Outcome("linear", 1e-4, np.nan, reaction, CENTRES[2][rest].astype(np.float64))
         samples.append(Sample.of(rest, result, load, Material(1e5, 0.3, 0.2), outcome, (0, float(step))))
     return group_of("box", rest, 0.2, samples)
 

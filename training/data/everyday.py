@@ -12,7 +12,17 @@ from service.core.condition import POISSON_RATIO_MAX
 from training.data.body_cube import place_in_body_grid
 from training.data.contacts import along_the_top, draw_contacts, draw_direction
 from training.data.generate import Dropped
-from training.data.samples import LENGTHS_M, YOUNG_MAX_PA, Material, Sample, State, group_of, respond, scaled
+from training.data.samples import (
+    LENGTHS_M,
+    YOUNG_MAX_PA,
+    Material,
+    Response,
+    Sample,
+    State,
+    group_of,
+    respond,
+    scaled,
+)
 from training.simulation.body import Body, BodyError
 from training.simulation.families import FAMILIES, OPEN_VESSELS, sample_shape
 from training.simulation.force_search import force_for_identity_iou
@@ -80,14 +90,7 @@ def draw_group(config: EverydayConfig, index: int) -> dict[str, np.ndarray]:
     Raises:
         Dropped: The draw gives no sample at all.
     """
-    rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
-    family = config.families[rng.integers(len(config.families))]
-    cells = config.vessel_cells if family in OPEN_VESSELS else config.cells
-    try:
-        shape = sample_shape(family, rng, cells=cells)
-    except RuntimeError as error:  # no body of the family stood in as many tries as it is given
-        raise Dropped("no_shape") from error
-    return draw_samples(config, family, shape, cells, rng)
+    return _samples(config, draw_body(config, index))
 
 
 def draw_samples(
@@ -98,8 +101,84 @@ def draw_samples(
     Raises:
         Dropped: The body cannot be simulated, or none of its pushes could be solved.
     """
+    return _samples(config, _body(config, name, shape, cells, rng))
+
+
+@dataclass(frozen=True, eq=False)
+class DrawnBody:
+    """A body, its material and the pushes on it; the rest is drawn from `rng`, push by push.
+
+    Attributes:
+        name: Its family.
+        shape: In the unit cube.
+        thickness: Of its thinnest member, in units of L.
+        material: Its material and size.
+        body: On its cells.
+        fine: Makes its voxels.
+        overlap: Tells how a force deforms it.
+        pushes: Of unit strength.
+        rng: After all that.
+    """
+
+    name: str
+    shape: Shape
+    thickness: float
+    material: Material
+    body: Body
+    fine: Rasteriser
+    overlap: RestOverlap
+    pushes: list[Push]
+    rng: np.random.Generator
+
+
+class ChosenLoad(NamedTuple):
+    """A push at the force chosen for it, the linear response to one of unit strength, and the share of a small sample.
+
+    Attributes:
+        load: At its largest.
+        response: To the push of unit strength.
+        small: Part of the first step at which there is one more, linear sample; None: there is none.
+    """
+
+    load: Load
+    response: Response
+    small: float | None
+
+
+def draw_body(config: EverydayConfig, index: int) -> DrawnBody:
+    """The body of a group and the pushes on it.
+
+    Raises:
+        Dropped: The body cannot be simulated.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
+    family = config.families[rng.integers(len(config.families))]
+    cells = config.vessel_cells if family in OPEN_VESSELS else config.cells
+    try:
+        shape = sample_shape(family, rng, cells=cells)
+    except RuntimeError as error:  # no body of the family stood in as many tries as it is given
+        raise Dropped("no_shape") from error
+    return _body(config, family, shape, cells, rng)
+
+
+def draw_load(config: EverydayConfig, drawn: DrawnBody, solver: LinearSolver, push: Push) -> ChosenLoad | None:
+    """The force of a push, by the overlap drawn for it; None where there is none. Call it for one push after the other.
+
+    Raises:
+        LoadError: The push touches no material.
+    """
+    rng = drawn.rng
+    target = float(rng.uniform(*config.identity_iou))
+    small = float(np.exp(rng.uniform(*np.log(config.small_fraction)))) if rng.random() < config.small else None
+    (response,) = respond(solver, [push.unit])
+    load = force_for_identity_iou(drawn.overlap, push.unit, response.displacement, target)
+    return None if load is None else ChosenLoad(load, response, small)
+
+
+def _body(config: EverydayConfig, name: str, shape: Shape, cells: int, rng: np.random.Generator) -> DrawnBody:
     cube = place_in_body_grid(shape)
-    if min_thickness(cube.shape) < config.thickness / cells:
+    thickness = float(min_thickness(cube.shape))
+    if thickness < config.thickness / cells:
         raise Dropped("thin")
     material = Material(
         young_modulus_pa=float(np.exp(rng.uniform(*np.log(config.young_modulus_pa)))),
@@ -114,39 +193,41 @@ def draw_samples(
         pushes = draw_pushes(config, body, fine.rest, rng)
     except BodyError as error:
         raise Dropped(error.reason) from error
-    solver = LinearSolver(body, material.poisson_ratio)
+    return DrawnBody(name, cube.shape, thickness, material, body, fine, overlap, pushes, rng)
+
+
+def _samples(config: EverydayConfig, drawn: DrawnBody) -> dict[str, np.ndarray]:
+    solver = LinearSolver(drawn.body, drawn.material.poisson_ratio)
     samples: list[Sample] = []
-    for number, push in enumerate(pushes):
-        target = float(rng.uniform(*config.identity_iou))
-        small = float(np.exp(rng.uniform(*np.log(config.small_fraction)))) if rng.random() < config.small else None
+    for number, push in enumerate(drawn.pushes):
         try:
-            (response,) = respond(solver, [push.unit])
+            chosen = draw_load(config, drawn, solver, push)
         except LoadError:
             continue
-        load = force_for_identity_iou(overlap, push.unit, response.displacement, target)
-        if load is None:
+        if chosen is None:
             continue
+        load, response, small = chosen
         steps = config.fractions
         fractions = (1.0,) if steps is None else (steps[0] * small,) if small is not None else ()
-        state = State(fine, material, number, push.location)
+        state = State(drawn.fine, drawn.material, number, push.location)
         samples += [state.linear(scaled(load, part), response, part) for part in fractions]
         forces = load.load_number * response.forces
         for step in solve_neo_hookean(solver, load, steps, forces=forces) if steps is not None else ():
             if step.converged:
-                samples.append(state.nonlinear(step))
+                samples.append(state.nonlinear(solver, step))
     if not samples:
         raise Dropped("no_solution")
-    return group_of(name, fine.rest, material.edge_m, samples)
+    return group_of(drawn.name, drawn.fine.rest, drawn.material.edge_m, samples)
 
 
-class _Push(NamedTuple):
+class Push(NamedTuple):
     """A load of unit strength, and where along the top it is (`Sample.of`)."""
 
     unit: Load
     location: tuple[int, float]
 
 
-def draw_pushes(config: EverydayConfig, body: Body, rest: Occupancy, rng: np.random.Generator) -> list[_Push]:
+def draw_pushes(config: EverydayConfig, body: Body, rest: Occupancy, rng: np.random.Generator) -> list[Push]:
     """Places, directions and patches of all pushes on a body.
 
     Raises:
@@ -158,12 +239,12 @@ def draw_pushes(config: EverydayConfig, body: Body, rest: Occupancy, rng: np.ran
         places = along_the_top(body, rest, config.loads)
         share = np.linspace(0.0, 1.0, config.loads)
         return [
-            _Push(Load(place, draw_direction(up, config.inward, 1.0, rng), 1.0, radius), (i, float(share[i])))
+            Push(Load(place, draw_direction(up, config.inward, 1.0, rng), 1.0, radius), (i, float(share[i])))
             for i, place in enumerate(places)
         ]
     contacts, normals = draw_contacts(body, config.loads, config.near_edge, rng)
     return [
-        _Push(
+        Push(
             Load(
                 contact, draw_direction(normal, config.inward, config.cone, rng), 1.0,
                 float(rng.uniform(*config.patch_radius)),

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float16, Float32, Int, UInt8
+from jaxtyping import Bool, Float16, Float32, Float64, Int, UInt8
 
 from service.core.compiled import compiled
 
@@ -38,6 +38,16 @@ def coarsen(
     covered = np.zeros((FIELD_SIZE,) * 3, np.uint8)
     _coarsen(index, values, mean, covered)
     return mean, covered
+
+
+def block_means(
+    index: Int[np.ndarray, " n"], values: Float64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "x=32 y=32 z=32"]:
+    """Mean of a scalar over the voxels of each block that are given, zero where none is."""
+    i, j, k = index >> 13, index >> 7 & 31, index >> 1 & 31
+    node = i << 10 | j << 5 | k
+    total = np.bincount(node, values, FIELD_SIZE**3)
+    return np.asarray(total / np.maximum(np.bincount(node, minlength=FIELD_SIZE**3), 1)).reshape((FIELD_SIZE,) * 3)
 
 
 def coverage(occupancy: Bool[np.ndarray, "x=64 y=64 z=64"]) -> UInt8[np.ndarray, "x=32 y=32 z=32"]:

@@ -112,6 +112,8 @@ def _distributions(group: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
         found |= {"log10 load number": condition[:, 6], "Poisson's ratio": condition[:, 7]}
         found |= {"peak / L": group["peak"], "E / Pa": group["young_modulus_pa"], "F / N": group["force_n"]}
         found["smallest Jacobian"] = group["smallest_jacobian"]
+        if "peak_von_mises" in group:
+            found["peak stress / E"] = group["peak_von_mises"]
     if "truth" in group:
         found["size / m"] = group["sample"][:, 1]
         found["observed voxels"] = np.unpackbits(group["observed"], axis=1).sum(axis=1)

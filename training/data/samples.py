@@ -12,13 +12,14 @@ from jaxtyping import Float64
 from service.core.arrays import Occupancy
 from service.core.condition import Condition
 from service.core.grids import pack_bits
-from training.data.fields import Field, Nodes, coarsen, extend, pack_fields, pack_nodes
+from training.data.fields import Field, Nodes, block_means, coarsen, extend, pack_fields, pack_nodes
 from training.metrics import iou
 from training.simulation.clamp import Reaction
 from training.simulation.loads import Load, load_cases
 from training.simulation.rasterise import Rasterised, Rasteriser
 from training.simulation.solution import Solution
 from training.simulation.solver import LinearSolver
+from training.simulation.stress import linear_von_mises, von_mises
 
 LENGTHS_M = (0.05, 0.40)
 """Edges L of the body grid that bodies without a size of their own are given, drawn log-uniformly: what stands on a
@@ -55,12 +56,14 @@ class Outcome(NamedTuple):
         strain_energy: In units of E L³.
         smallest_jacobian: Smallest volume ratio in the body; NaN where the law is linear, which knows none.
         reaction: Of the clamp.
+        von_mises: Stress at the voxels of the body at rest, in units of E.
     """
 
     law: str
     strain_energy: float
     smallest_jacobian: float
     reaction: Reaction
+    von_mises: Float64[np.ndarray, " k"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,7 @@ class Sample:
         backward_nodes: Where that is.
         forward: u(x) on nodes of the body at rest and a little beyond.
         forward_nodes: Where that is.
+        von_mises: Stress on nodes of the body at rest, of the largest.
         numbers: Every scalar column by name.
         law: `linear` or `neo_hookean`.
     """
@@ -82,6 +86,7 @@ class Sample:
     backward_nodes: Nodes
     forward: Field
     forward_nodes: Nodes
+    von_mises: Float64[np.ndarray, "x=32 y=32 z=32"]
     numbers: dict[str, np.ndarray]
     law: str
 
@@ -112,12 +117,15 @@ class Sample:
         forward, at_rest = coarsen(result.at_rest, result.moved_from)
         backward, backward_nodes = extend(backward, covered > 0)
         forward, forward_nodes = extend(forward, at_rest > 0)
+        stress = block_means(result.at_rest, outcome.von_mises)
+        largest = float(stress.max())
         numbers = {
             "condition": condition_of(load, material.poisson_ratio),
             "peak": np.float32(result.peak_displacement),
             "identity_iou": np.float32(iou(rest, result.deformed)),
             "strain_energy": np.float32(outcome.strain_energy),
             "smallest_jacobian": np.float32(outcome.smallest_jacobian),
+            "peak_von_mises": np.float32(largest),
             "reaction": np.concatenate([outcome.reaction.force, outcome.reaction.moment]).astype(np.float32),
             "young_modulus_pa": np.float64(material.young_modulus_pa),
             "force_n": np.float64(material.force_n(load.load_number)),
@@ -125,7 +133,8 @@ class Sample:
             "sample": np.array([number[0], round(number[1], 4)], np.float32),
         }
         arrays = {key: np.asarray(value) for key, value in numbers.items()}
-        return cls(result.deformed, backward, backward_nodes, forward, forward_nodes, arrays, outcome.law)
+        share = stress / max(largest, np.finfo(np.float64).tiny)
+        return cls(result.deformed, backward, backward_nodes, forward, forward_nodes, share, arrays, outcome.law)
 
 
 @dataclass(frozen=True)
@@ -150,13 +159,15 @@ class State:
         # Clapeyron: the work of a load on a linear body is twice the energy it stores.
         energy = 0.5 * load.load_number * float((unit.forces * displacement).sum())
         carried = Reaction.of(-load.load_number * unit.forces, self.rasteriser.body.node_positions)
-        outcome = Outcome("linear", energy, np.nan, carried)
+        stress = self.rasteriser.at_rest(load.load_number * unit.von_mises)
+        outcome = Outcome("linear", energy, np.nan, carried, stress)
         return self._sample(displacement, load, outcome, fraction)
 
-    def nonlinear(self, solution: Solution) -> Sample:
+    def nonlinear(self, solver: LinearSolver, solution: Solution) -> Sample:
         """A converged step under one load."""
         (load,) = solution.loads
-        outcome = Outcome("neo_hookean", solution.strain_energy, solution.smallest_jacobian, solution.reaction)
+        stress = self.rasteriser.at_rest(von_mises(solver, solution))
+        outcome = Outcome("neo_hookean", solution.strain_energy, solution.smallest_jacobian, solution.reaction, stress)
         return self._sample(solution.displacement, load, outcome, solution.fraction)
 
     def _sample(
@@ -168,10 +179,11 @@ class State:
 
 
 class Response(NamedTuple):
-    """Nodal forces of a load of unit strength, and the linear displacements under them."""
+    """Nodal forces of a load of unit strength, and the linear displacements and stresses under them."""
 
     forces: Float64[np.ndarray, "nodes 3"]
     displacement: Float64[np.ndarray, "nodes 3"]
+    von_mises: Float64[np.ndarray, " cells"]
 
 
 def respond(solver: LinearSolver, units: Sequence[Load]) -> list[Response]:
@@ -181,7 +193,8 @@ def respond(solver: LinearSolver, units: Sequence[Load]) -> list[Response]:
         LoadError: A load touches no material.
     """
     forces = load_cases(solver.body, units)
-    return [Response(*pair) for pair in zip(forces, solver.solve_forces(forces), strict=True)]
+    moved = solver.solve_forces(forces)
+    return [Response(force, u, linear_von_mises(solver, u)) for force, u in zip(forces, moved, strict=True)]
 
 
 def scaled(load: Load, factor: float) -> Load:
@@ -201,7 +214,8 @@ def group_of(family: str, rest: Occupancy, edge_m: float, samples: Sequence[Samp
     Returns:
         `rest` (32768 bytes of bits), `family`, `edge_m`, `nodes` (4096 bytes of bits over 32³ nodes: the k nodes near
         any body of the group), and one row a sample of `deformed` bits, `displacement` (backward) and `forward`
-        (float16, 3 × k, edges of the grid), `law` and every scalar column.
+        (float16, 3 × k, edges of the grid), `von_mises` (float16, k, of `peak_von_mises`), `law` and every scalar
+        column.
     """
     nodes = np.logical_or.reduce([s.backward_nodes | s.forward_nodes for s in samples])
     return {
@@ -212,6 +226,7 @@ def group_of(family: str, rest: Occupancy, edge_m: float, samples: Sequence[Samp
         "deformed": np.stack([pack_bits(s.deformed) for s in samples]),
         "displacement": pack_fields([s.backward for s in samples], nodes),
         "forward": pack_fields([s.forward for s in samples], nodes),
+        "von_mises": np.stack([s.von_mises[nodes] for s in samples]).astype(np.float16),
         "law": np.array([s.law for s in samples]),
         **{key: np.stack([s.numbers[key] for s in samples]) for key in samples[0].numbers},
     }

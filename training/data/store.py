@@ -23,8 +23,14 @@ from typing import Any
 
 import numpy as np
 
-STORE_VERSION = 2
-"""2: fields are kept at the nodes near the body, forward as well as backward; coverage follows from the bits."""
+STORE_VERSION = 3
+"""2: fields are kept at the nodes near the body, forward as well as backward; coverage follows from the bits.
+3: von Mises stress. A set stays in the version that it began in: one of version 2 is read, and added to, without it."""
+
+_ADDED = {"von_mises": 3, "peak_von_mises": 3}
+"""Columns that sets before these versions do not have."""
+_OLDEST = 2
+"""First version that is read."""
 
 COMPRESSION = 1
 """Level of the deflate: level 6, NumPy's own, takes half as long again for 3 % less (measured on one group)."""
@@ -87,10 +93,11 @@ class Store:
 
     def write_group(self, index: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Raises: StoreError: The disk is full; what was written before is whole."""
-        self._ensure_header()
+        version = self._begun()
         path = self.group_path(index)
+        kept = {name: array for name, array in arrays.items() if _ADDED.get(name, version) <= version}
         with self._whole(path) as partial, zipfile.ZipFile(partial, "w") as archive:
-            for name, array in _entries(arrays):
+            for name, array in _entries(kept):
                 # a fixed date: the same arrays give the same file
                 entry = zipfile.ZipInfo(f"{name}.npy")
                 entry.compress_type, entry._compresslevel = zipfile.ZIP_DEFLATED, COMPRESSION  # type: ignore[attr-defined]
@@ -99,7 +106,7 @@ class Store:
 
     def write_drop(self, index: int, reason: str) -> None:
         """Raises: StoreError: The disk is full."""
-        self._ensure_header()
+        self._begun()
         self._write(self.drop_path(index), json.dumps({"reason": reason}).encode())
 
     def groups(self) -> Iterator[tuple[int, dict[str, np.ndarray]]]:
@@ -127,9 +134,9 @@ class Store:
         if not header and next((self.root / "groups").glob("*.npz"), None) is not None:
             header = {"store_version": 1}  # the first version said its number in the manifest only
         version = header.get("store_version", STORE_VERSION)
-        if version != STORE_VERSION:
+        if not _OLDEST <= version <= STORE_VERSION:
             raise StoreError(
-                f"{self.root} is a store of version {version}, this code reads {STORE_VERSION}; "
+                f"{self.root} is a store of version {version}, this code reads {_OLDEST} to {STORE_VERSION}; "
                 "generate it again from its manifest"
             )
 
@@ -138,7 +145,7 @@ class Store:
         digest, groups, samples = self.digest()
         drops = Counter(json.loads(p.read_text())["reason"] for p in (self.root / "dropped").glob("*.json"))
         manifest = {
-            "store_version": STORE_VERSION,
+            "store_version": self._begun(),
             "configuration": dict(configuration),
             "code": code_version(),
             "groups": groups,
@@ -146,7 +153,6 @@ class Store:
             "dropped": dict(sorted(drops.items())),
             "digest": digest,
         }
-        self._ensure_header()
         self._write(self.manifest_path, json.dumps(manifest, indent=1).encode() + b"\n")
         return manifest
 
@@ -176,9 +182,11 @@ class Store:
             return {}
         return header
 
-    def _ensure_header(self) -> None:
+    def _begun(self) -> int:
+        """The version of the set, which begins here if it has none."""
         if not self.header_path.exists():
             self._write(self.header_path, json.dumps({"store_version": STORE_VERSION}).encode())
+        return int(self._header().get("store_version", STORE_VERSION))
 
     def _read(self, path: Path) -> dict[str, np.ndarray]:
         try:

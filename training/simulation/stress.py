@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float64
 
+from service.core.compiled import compiled
 from training.simulation.elements import Hexahedron
 from training.simulation.solution import Solution
 from training.simulation.solver import LinearSolver
@@ -19,10 +20,9 @@ def von_mises(solver: LinearSolver, solution: Solution) -> Float64[np.ndarray, "
     """
     element = _hexahedron(solver)
     gradient = element.full_gradient(solver.body.gather(solution.displacement), solution.parameters)
-    f = gradient.reshape(8, 3, 3, -1)
-    jacobian = np.linalg.det(f.transpose(0, 3, 1, 2))
-    stress = element.mu * np.einsum("gikm,gjkm->gijm", f, f) / element.material_jacobian(jacobian)[:, None, None]
-    return _mean(element, stress)
+    mean = np.empty(gradient.shape[2])
+    _mean_equivalent(gradient, element.weights, element.mu, False, mean)
+    return mean
 
 
 def linear_von_mises(
@@ -33,8 +33,10 @@ def linear_von_mises(
     gathered = solver.body.gather(displacement)
     # the internal parameters follow the displacements
     followed = -np.einsum("mpa,am->pm", solver.tangent.recovery, gathered)
-    f = element.full_gradient(gathered, followed).reshape(8, 3, 3, -1)
-    return _mean(element, element.mu * (f + f.transpose(0, 2, 1, 3) - 2.0 * np.eye(3)[None, :, :, None]))
+    gradient = element.full_gradient(gathered, followed)
+    mean = np.empty(gradient.shape[2])
+    _mean_equivalent(gradient, element.weights, element.mu, True, mean)
+    return mean
 
 
 def _hexahedron(solver: LinearSolver) -> Hexahedron:
@@ -43,8 +45,35 @@ def _hexahedron(solver: LinearSolver) -> Hexahedron:
     return solver.element
 
 
-def _mean(element: Hexahedron, stress: Float64[np.ndarray, "8 3 3 cells"]) -> Float64[np.ndarray, " cells"]:
-    deviator = stress - np.einsum("giim->gm", stress)[:, None, None] / 3.0 * np.eye(3)[None, :, :, None]
-    equivalent = np.sqrt(1.5 * np.einsum("gijm,gijm->gm", deviator, deviator))
-    weight = element.weights / np.maximum(element.weights.sum(axis=0), 1e-300)
-    return np.asarray((weight * equivalent).sum(axis=0))
+@compiled
+def _mean_equivalent(
+    gradient: Float64[np.ndarray, "8 9 cells"],
+    weights: Float64[np.ndarray, "8 cells"],
+    mu: float,
+    small: bool,
+    mean: Float64[np.ndarray, " cells"],
+) -> None:
+    """Write √(3/2 s:s), by Hooke's law or Cauchy's stress, averaged over the Gauss points of a cell by their weight."""
+    mean[:] = 0.0
+    volume = np.zeros(len(mean))
+    for gauss in range(8):
+        for cell in range(len(mean)):
+            weight = weights[gauss, cell]
+            if not weight > 0.0:
+                continue
+            a, b, c = gradient[gauss, 0, cell], gradient[gauss, 1, cell], gradient[gauss, 2, cell]
+            d, e, f = gradient[gauss, 3, cell], gradient[gauss, 4, cell], gradient[gauss, 5, cell]
+            g, h, k = gradient[gauss, 6, cell], gradient[gauss, 7, cell], gradient[gauss, 8, cell]
+            if small:
+                scale = mu
+                xx, yy, zz, xy, yz, zx = 2.0 * a, 2.0 * e, 2.0 * k, b + d, f + h, g + c
+            else:
+                scale = mu / (a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g))
+                xx, yy, zz = a * a + b * b + c * c, d * d + e * e + f * f, g * g + h * h + k * k
+                xy, yz, zx = a * d + b * e + c * f, d * g + e * h + f * k, g * a + h * b + k * c
+            square = 0.5 * ((xx - yy) ** 2 + (yy - zz) ** 2 + (zz - xx) ** 2)
+            mean[cell] += weight * scale * np.sqrt(square + 3.0 * (xy * xy + yz * yz + zx * zx))
+            volume[cell] += weight
+    for cell in range(len(mean)):
+        if volume[cell] > 0.0:
+            mean[cell] /= volume[cell]

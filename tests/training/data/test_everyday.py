@@ -75,6 +75,24 @@ def test_conditions_are_loads_on_the_surface(group: dict[str, np.ndarray]) -> No
     assert ((condition[:, 8] >= CONFIG.patch_radius[0]) & (condition[:, 8] <= CONFIG.patch_radius[1])).all()
 
 
+def test_stress_is_kept_where_the_body_was_and_grows_with_the_load(group: dict[str, np.ndarray]) -> None:
+    """Shares of the largest, one at its place, zero where there was no body; steps of one push carry more and more."""
+    nodes = unpack_nodes(group["nodes"])
+    stress = np.zeros((len(group["sample"]), 32, 32, 32))
+    stress[:, nodes] = group["von_mises"]
+    held = unpack_bits(group["rest"]).reshape(32, 2, 32, 2, 32, 2).any(axis=(1, 3, 5))
+    assert (stress.max(axis=(1, 2, 3)) == 1.0).all()
+    assert not stress[:, ~held].any()
+    assert (stress[:, held] > 0.0).mean() > 0.99
+    order = np.argsort(group["sample"][:, 1])
+    assert (np.diff(group["peak_von_mises"][order]) > 0.0).all()
+    # σ² = 2 E w in tension, 3/(1+ν) E w in shear, w the energy in a volume; blocks at the surface round
+    mean_square = ((stress * group["peak_von_mises"][:, None, None, None])[:, held] ** 2).mean(axis=1)
+    density = group["strain_energy"] / unpack_bits(group["rest"]).mean()
+    assert (mean_square / (2.0 * density) > 0.3).all()
+    assert (mean_square / (2.0 * density) < 1.6).all()
+
+
 def test_load_steps_grow_and_the_body_with_them(group: dict[str, np.ndarray]) -> None:
     fraction, log_load = group["sample"][:, 1], group["condition"][:, 6]
     order = np.argsort(fraction)

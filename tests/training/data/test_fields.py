@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from training.data.fields import coarsen, extend, pack_fields, pack_nodes, unpack_fields, unpack_nodes
+from training.data.fields import block_means, coarsen, extend, pack_fields, pack_nodes, unpack_fields, unpack_nodes
 
 CENTRES = (np.indices((32, 32, 32), dtype=np.float32) + 0.5) / 32
 
@@ -25,6 +25,14 @@ def test_coarsening_averages_inside_only() -> None:
     assert covered.sum() == 3
     np.testing.assert_allclose(field[:, 5, 10, 15], [0.3, 0.35, 0.4], atol=1e-6)
     np.testing.assert_array_equal(field[:, 31, 0, 31], [1.0, 2.0, 3.0])
+
+
+def test_a_scalar_is_averaged_over_the_voxels_of_a_block() -> None:
+    index = at((10, 20, 30), (11, 20, 30), (63, 0, 63))
+    means = block_means(index, np.array([0.1, 0.5, 2.0]))
+    assert means[5, 10, 15] == pytest.approx(0.3)
+    assert means[31, 0, 31] == 2.0
+    assert np.count_nonzero(means) == 2
 
 
 def test_coverage_counts_voxels_of_each_block() -> None:

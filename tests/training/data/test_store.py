@@ -71,7 +71,7 @@ def test_another_store_version_is_refused(tmp_path: Path) -> None:
     store.write_manifest({})
     header = json.loads(store.header_path.read_text())
     store.header_path.write_text(json.dumps({**header, "store_version": STORE_VERSION + 1}))
-    message = f"version {STORE_VERSION + 1}, this code reads {STORE_VERSION}"
+    message = f"version {STORE_VERSION + 1}, this code reads 2 to {STORE_VERSION}"
     for use in (store.manifest, lambda: list(store.groups()), lambda: store.group(0), lambda: store.begin({})):
         with pytest.raises(StoreError, match=message):
             use()
@@ -82,8 +82,24 @@ def test_a_store_of_the_first_version_is_refused(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.write_group(0, GROUP)
     store.header_path.unlink()
-    with pytest.raises(StoreError, match="version 1, this code reads 2"):
+    with pytest.raises(StoreError, match="version 1, this code reads 2 to 3"):
         list(store.groups())
+
+
+def test_a_set_of_the_second_version_is_read_and_goes_on_as_it_began(tmp_path: Path) -> None:
+    """It has no stress: groups that are added get none either, and the manifest says version 2."""
+    old, new = Store(tmp_path / "old"), Store(tmp_path / "new")
+    group = {**GROUP, "von_mises": np.ones((2, 4), np.float16), "peak_von_mises": np.ones(2, np.float32)}
+    old.begin({"set": "x"})
+    header = json.loads(old.header_path.read_text())
+    old.header_path.write_text(json.dumps({**header, "store_version": 2}))
+    old.begin({"set": "x"})
+    for store in (old, new):
+        store.write_group(0, group)
+    assert old.group(0).keys() == GROUP.keys()
+    assert new.group(0).keys() == group.keys()
+    assert old.write_manifest({})["store_version"] == 2
+    assert new.write_manifest({})["store_version"] == 3
 
 
 def test_a_folder_of_another_configuration_is_not_drawn_into(tmp_path: Path) -> None:

@@ -60,3 +60,17 @@ def test_a_pushed_column_carries_force_over_area():
     expected = 1e-4 / 0.25**2
     assert von_mises(solver, solution)[middle].mean() == pytest.approx(expected, rel=0.03)
     assert linear_von_mises(solver, solution.displacement)[middle].mean() == pytest.approx(expected, rel=0.03)
+
+
+def test_a_cell_has_the_mean_over_its_material():
+    """Cells half in a body: Gauss points without material do not count. Against the same in NumPy."""
+    solver = LinearSolver(Body.from_distance(column(0.27, 0.71), 12), 0.2)
+    weights = solver.element.weights
+    assert ((weights == 0.0).any(axis=0) & (weights > 0.0).any(axis=0)).any()
+    moved = 0.02 * np.random.default_rng(0).normal(size=(solver.body.nodes, 3))
+    f = solver.element.deformation_gradient(solver.body.gather(moved)).reshape(8, 3, 3, -1)
+    strain = 0.5 * (f + f.transpose(0, 2, 1, 3)) - np.eye(3)[None, :, :, None]
+    deviator = strain - np.einsum("giim->gm", strain)[:, None, None] / 3.0 * np.eye(3)[None, :, :, None]
+    equivalent = 2.0 * lame(0.2)[0] * np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2)))
+    expected = (weights * equivalent).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-300)
+    np.testing.assert_allclose(linear_von_mises(solver, moved), expected, rtol=1e-12)
