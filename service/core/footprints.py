@@ -123,15 +123,14 @@ def _look_up(
     labels: Int32[np.ndarray, "rows columns"],
     found: Int32[np.ndarray, " n"],
 ) -> None:
-    """The outermost cells are empty, so whatever lies outside the map is read there."""
+    """The number of the footprint that each point stands in; 0 outside the map."""
     rows, columns = labels.shape
     for point in range(len(points)):
         x, y, z = points[point, 0], points[point, 1], points[point, 2]
         down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner_m[0]) * cells_per_m
         across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner_m[1]) * cells_per_m
-        row = int(min(max(down, np.float32(0.0)), np.float32(rows - 1)))
-        column = int(min(max(across, np.float32(0.0)), np.float32(columns - 1)))
-        found[point] = labels[row, column]
+        inside = down >= np.float32(0.0) and down < rows and across >= np.float32(0.0) and across < columns
+        found[point] = labels[int(down), int(across)] if inside else 0
 
 
 def _join_vessels(

@@ -83,13 +83,24 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
         support_offset_m: The support plane is where `up · p + support_offset_m = 0`.
     """
     camera_from_view = view_axes(up)
-    local = np.sort(camera_from_view[:3, :3].T.astype(np.float32) @ points.T, axis=1)
+    local = np.empty((3, len(points)), np.float32)
+    _rotate(points, camera_from_view[:3, :3].astype(np.float32), local)
+    local.sort(axis=1)
     low, high = (_percentile(local, percentile) for percentile in (OUTLIER_PERCENTILE, 100.0 - OUTLIER_PERCENTILE))
     low[2] = -support_offset_m
     edge_m = EDGE_OVER_EXTENT * max(float((high - low).max()), 1e-3)
     corner = np.array([low[0] - FRONT_MARGIN * edge_m, (low[1] + high[1] - edge_m) / 2, low[2]])
     camera_from_view[:3, 3] = camera_from_view[:3, :3] @ corner
     return Grid(pitch_m=edge_m / GRID_SIZE, camera_from_grid=camera_from_view)
+
+
+@compiled
+def _rotate(points: Points, axes: Float32[np.ndarray, "3 axis=3"], local: Float32[np.ndarray, "axis=3 n"]) -> None:
+    """Coordinates of points along the columns of a rotation."""
+    for point in range(len(points)):
+        x, y, z = points[point, 0], points[point, 1], points[point, 2]
+        for axis in range(3):
+            local[axis, point] = axes[0, axis] * x + axes[1, axis] * y + axes[2, axis] * z
 
 
 def voxelize_points(points: Points, grid: Grid) -> Occupancy:
@@ -103,12 +114,12 @@ def voxelize_points(points: Points, grid: Grid) -> Occupancy:
 @compiled
 def _mark(points: Points, t: Float32[np.ndarray, "4 4"], pitch_m: np.float32, occupied: Occupancy) -> None:
     """Mark the voxels that hold a point; t is the transform grid_from_camera."""
-    size = np.float32(GRID_SIZE)
+    size, per_m = np.float32(GRID_SIZE), np.float32(1.0) / pitch_m
     for point in range(len(points)):
         x, y, z = points[point, 0], points[point, 1], points[point, 2]
-        i = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) / pitch_m
-        j = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) / pitch_m
-        k = (t[2, 0] * x + t[2, 1] * y + t[2, 2] * z + t[2, 3]) / pitch_m
+        i = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_m
+        j = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_m
+        k = (t[2, 0] * x + t[2, 1] * y + t[2, 2] * z + t[2, 3]) * per_m
         if 0.0 <= i < size and 0.0 <= j < size and 0.0 <= k < size:
             occupied[int(i), int(j), int(k)] = True
 
