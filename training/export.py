@@ -215,6 +215,7 @@ def _without_norms(graph: nn.Module) -> nn.Module:
     """The same with normalisations in their convolutions; those of convolutions proper the exporter folds itself."""
     graph = copy.deepcopy(graph)
     for block in [module for module in graph.modules() if isinstance(module, Coarser)]:
+        assert isinstance(block.norm, nn.BatchNorm2d), "a graph is written once"
         block.conv = fuse_conv_bn_eval(block.conv, block.norm)
         block.norm = nn.Identity()
     return graph

@@ -13,7 +13,7 @@ from training.data.batches import ViewSet
 from training.data.store import Store
 from training.fit_critic import Adversary
 from training.fit_loop import Learner, training_steps
-from training.losses import OccupancyLosses, vae_gan_loss
+from training.losses import occupancy_losses, vae_gan_loss
 from training.metrics import iou
 from training.networks.build import build_reconstruction
 from training.networks.checkpoint import take_weights
@@ -56,7 +56,7 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig, be
         logits = network(batch.view)
         # What noise carried into the body where the camera saw nothing costs the same whatever is said there.
         free = (batch.view[:, 1] > 0.5) if config.overrule else torch.zeros_like(logits, dtype=torch.bool)
-        entropy, overlap = OccupancyLosses.apply(logits, batch.truth, free, config.alpha)
+        entropy, overlap = occupancy_losses(logits, batch.truth, free, config.alpha)
         step.losses = {"bce": entropy.item(), "soft_iou": 1 - overlap.item()}
         loss = entropy + config.iou_weight * overlap
         if adversary and adversary.learns_at(step.index):
