@@ -11,7 +11,7 @@ from jaxtyping import Float32
 from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX, Condition
 from service.core.prior_corotational import CorotationalSolver
-from service.core.prior_field import backward_fields
+from service.core.prior_field import Points, backward_fields
 from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import Surface, nodal_forces
@@ -58,9 +58,10 @@ class ElasticPrior:
     def __init__(self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS) -> None:
         self.grid = CellGrid.fit(occupancy, cells)
         self.surface = Surface.of(self.grid, occupancy)
+        self._points = Points.of(self.grid)
         self.solver = CorotationalSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
 
-    def forces(self, conditions: Sequence[Condition]) -> Float32[np.ndarray, "3 loads n"]:
+    def forces(self, conditions: Sequence[Condition]) -> Float32[np.ndarray, "loads 3 n"]:
         """Nodal forces of loads, see `prior_load.nodal_forces`."""
         return nodal_forces(self.grid, self.surface, conditions)
 
@@ -72,7 +73,5 @@ class ElasticPrior:
             steps: 0 is linear elasticity, see `CorotationalSolver.solve`.
         """
         nodal = self.solver.solve(self.forces(conditions), steps)
-        gradient = self.solver.deformation_gradient(nodal)
-        backward = backward_fields(self.grid, nodal, gradient)
-        forward = forward_lattice(self.grid, nodal)
-        return PriorSolution(np.ascontiguousarray(nodal.transpose(1, 0, 2)), backward, forward)
+        backward = backward_fields(self._points, self.solver.cells, nodal)
+        return PriorSolution(nodal, backward, forward_lattice(self.grid, nodal))

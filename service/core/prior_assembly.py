@@ -2,92 +2,101 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float32
 
-from service.core.prior_factor import BlockTridiagonal
-from service.core.prior_grid import CORNERS, CellGrid
+from service.core.compiled import compiled
+from service.core.prior_cells import Cells
+from service.core.prior_factor import PANEL, BandFactor, Ends, Panels, factorised, substitute
 
 _SHIFTS = (0.0, 1e-5, 1e-3, 1e-2)
 """Relative additions to the diagonal until there is a factor: a sheet one voxel thick is too slender for single
 precision, and is held a little stiffer than it is."""
 
+Loads = Float32[np.ndarray, "loads 3 n"]
 
-class RestFactor:
-    """The factor of a body's stiffness at rest.
 
-    The nodes are taken plane by plane along the axis on which that costs least: a cell couples a plane with the next
-    one only, so that the matrix is block tridiagonal.
-
-    Args:
-        grid: Cells of the body.
-        stiffness: Of every cell, local degree of freedom 3·node + axis.
-        floor_stiffness: Of the bed under every floor cell, the same along each axis.
+def rest_factor(cells: Cells) -> BandFactor:
+    """The factor of a body's stiffness at rest; degree of freedom 3·node + axis.
 
     Raises:
         np.linalg.LinAlgError: The matrix is far from positive definite.
     """
-
-    def __init__(
-        self, grid: CellGrid, stiffness: Float32[np.ndarray, "m 24 24"], floor_stiffness: Float64[np.ndarray, "b 8 8"]
-    ) -> None:
-        counts = [np.bincount(grid.nodes[:, axis]) for axis in range(3)]
-        axis = int(np.argmin([float((count.astype(float) ** 3).sum()) for count in counts]))
-        # planes without nodes, beside the body or between its feet, are left out
-        plane = (np.cumsum(counts[axis] > 0) - 1)[grid.nodes[:, axis]]
-        self._order: Int[np.ndarray, " n"] = np.argsort(plane, kind="stable")
-        count = counts[axis][counts[axis] > 0]
-        place = np.empty(len(plane), np.int64)
-        place[self._order] = np.arange(len(plane))
-        self._place = place.copy()
-        place -= (np.cumsum(count) - count)[plane]
-        width = 3 * count
-        diagonal_ends = np.cumsum(width * width)
-        below_ends = diagonal_ends[-1] + np.cumsum(width[1:] * width[:-1])
-        diagonal_start, below_start = diagonal_ends - width * width, below_ends - width[1:] * width[:-1]
-        # pairs of local nodes whose block lies on or below the diagonal
-        side = CORNERS[:, axis]
-        a, b = np.nonzero(side[:, None] >= side[None, :])
-        rows, columns = grid.cell_nodes[:, a], grid.cell_nodes[:, b]
-        starts = np.where(
-            side[a] == side[b], diagonal_start[plane[rows]], np.append(below_start, 0)[plane[rows] - 1]
-        )
-        stride = width[plane[columns]]
-        corner = (starts + 3 * (place[rows] * stride + place[columns])).T
-        steps = np.arange(3)
-        index = corner[:, :, None, None] + steps[:, None] * stride.T[:, :, None, None] + steps
-        entries = stiffness.reshape(-1, 8, 3, 8, 3)[:, a, :, b]  # (pairs, m, 3, 3)
-        for i in range(3):
-            entries[:, grid.floor_cells, i, i] += floor_stiffness[:, a, b].T
-        size = int(width @ width + width[1:] @ width[:-1])
-        flat = np.bincount(index.ravel(), weights=entries.ravel(), minlength=size).astype(np.float32)
-        diagonal = [
-            flat[start : start + n * n].reshape(n, n) for start, n in zip(diagonal_start, width, strict=True)
-        ]
-        below = [
-            flat[start : start + n * m].reshape(n, m)
-            for start, n, m in zip(below_start, width[1:], width[:-1], strict=True)
-        ]
-        self._factor = _factorised(diagonal, below)
-
-    def solve(self, force: Float32[np.ndarray, "3 n loads"]) -> Float32[np.ndarray, "3 n loads"]:
-        """Displacements of the nodes by linear elasticity."""
-        _, n, loads = force.shape
-        right = np.take(force.swapaxes(0, 1), self._order, axis=0).reshape(3 * n, loads)
-        solution = self._factor.solve(right).reshape(n, 3, loads)
-        return np.ascontiguousarray(np.take(solution, self._place, axis=0).swapaxes(0, 1))
-
-
-def _factorised(
-    diagonal: Sequence[Float32[np.ndarray, "_ _"]], below: Sequence[Float32[np.ndarray, "_ _"]]
-) -> BlockTridiagonal:
+    panels = -(-3 * cells.around.shape[1] // PANEL)
+    ends = _ends(cells, panels)
+    width = int((ends - PANEL * np.arange(panels)).max())
     for shift in _SHIFTS:
-        for block in diagonal if shift else ():
-            block[np.diag_indices(len(block))] *= np.float32(1.0 + shift)
+        upper = np.zeros((panels, PANEL, width), np.float32)
+        _assemble(cells, np.float32(1.0 + shift), upper)
         try:
-            return BlockTridiagonal(diagonal, below)
+            return factorised(upper, ends)
         except np.linalg.LinAlgError:
             continue
     raise np.linalg.LinAlgError("the stiffness matrix is not positive definite, nor stiffened by a hundredth")
+
+
+@compiled
+def solve_at_rest(factor: BandFactor, force: Loads, result: Loads) -> None:
+    """Displacements of the nodes by linear elasticity; the result may be the force."""
+    loads, axes, n = force.shape
+    values = np.zeros((loads, PANEL * len(factor.ends)), np.float32)
+    for load in range(loads):
+        for axis in range(axes):
+            for v in range(n):
+                values[load, 3 * v + axis] = force[load, axis, v]
+    substitute(factor, values)
+    for load in range(loads):
+        for axis in range(axes):
+            for v in range(n):
+                result[load, axis, v] = values[load, 3 * v + axis]
+
+
+@compiled
+def _ends(cells: Cells, panels: int) -> Ends:
+    """One past the last column of each panel: where the cells of its nodes end, or those of a panel before."""
+    ends = np.empty(panels, np.int64)
+    for k in range(panels):
+        ends[k] = PANEL * (k + 1)
+    for c in range(cells.count):
+        last = 0
+        for a in range(8):
+            last = max(last, 3 * cells.nodes[a, c] + 3)
+        last = (last + PANEL - 1) // PANEL * PANEL
+        for a in range(8):
+            first = 3 * cells.nodes[a, c]
+            ends[first // PANEL] = max(ends[first // PANEL], last)
+            ends[(first + 2) // PANEL] = max(ends[(first + 2) // PANEL], last)
+    for k in range(1, panels):
+        ends[k] = max(ends[k], ends[k - 1])
+    return ends
+
+
+@compiled
+def _assemble(cells: Cells, growth: float, upper: Panels) -> None:
+    """Add the cells and the bed, and multiply the diagonal by the growth."""
+    for a in range(len(cells.nodes)):
+        for b in range(len(cells.nodes)):
+            for i in range(3):
+                for j in range(i if a == b else 0, 3):
+                    stiffness = cells.stiffness[3 * a + i, 3 * b + j]
+                    for c in range(cells.count):
+                        if cells.nodes[a, c] <= cells.nodes[b, c]:
+                            _add(upper, 3 * cells.nodes[a, c] + i, 3 * cells.nodes[b, c] + j, stiffness[c])
+    for a in range(len(cells.sole)):
+        for b in range(len(cells.sole)):
+            for f in range(cells.sole.shape[1]):
+                if cells.sole[a, f] <= cells.sole[b, f]:
+                    for i in range(3):
+                        _add(upper, 3 * cells.sole[a, f] + i, 3 * cells.sole[b, f] + i, cells.bed[a, b, f])
+    freedoms = 3 * cells.around.shape[1]
+    for row in range(PANEL * len(upper)):
+        if row < freedoms:
+            upper[row // PANEL, row % PANEL, row % PANEL] *= growth
+        else:  # the last panel is filled up
+            upper[row // PANEL, row % PANEL, row % PANEL] = 1.0
+
+
+@compiled
+def _add(upper: Panels, row: int, column: int, value: float) -> None:
+    panel = row // PANEL
+    upper[panel, row - PANEL * panel, column - PANEL * panel] += value

@@ -1,31 +1,46 @@
 """Large rotations: every cell is linearly elastic in a frame that turns with it.
 
-Inside the solver arrays are components first and loads last: (3, n, loads) of nodes, (3, 8, m, loads) of corners,
-(3, 3, m, loads) of rotations. The inner loops are then as long as there are cells and loads, what is gathered are whole
-rows of loads, and the stiffness of a cell multiplies all of them at once.
+Arrays of nodes are (loads, 3, n). What one load takes up stays in the cache, so that loads are treated one after the
+other. In the kernels even short outer loops run to lengths of arrays: known to the compiler, they would be unrolled.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float32
 
-from service.core.prior_assembly import RestFactor
-from service.core.prior_element import cell_stiffness, floor_stiffness, mean_gradient
-from service.core.prior_grid import CORNERS, CellGrid
-from service.core.prior_rotation import exponential, polar_rotation, spin_axis
-from service.core.prior_secant import next_place
+from service.core.compiled import compiled
+from service.core.prior_assembly import rest_factor, solve_at_rest
+from service.core.prior_cells import (
+    Cells,
+    Corners,
+    Nodal,
+    add_bed,
+    at_corners,
+    at_nodes,
+    cell_forces,
+    gradients,
+    mean_at_nodes,
+)
+from service.core.prior_grid import CellGrid
+from service.core.prior_rotation import (
+    Matrices,
+    add_identity,
+    exponentials,
+    polar_rotations,
+    spin_axes,
+    turn,
+    turn_back,
+)
+from service.core.prior_secant import next_places
 
-_LARGEST_ROTATION = 1.3
+_LARGEST_ROTATION = np.float32(1.3)
 """Radians. A cantilever under a dead load turns towards the load, by π/2 at the very most."""
 
 _FARTHEST = 2.0
 """Edges of the body grid. What moves farther has left the grid; loads that would do so are answered at a share."""
 
-Nodal = Float32[np.ndarray, "3 loads n"]
-Rows = Float32[np.ndarray, "3 n loads"]
-Corners = Float32[np.ndarray, "3 8 m loads"]
-Matrices = Float32[np.ndarray, "3 3 k loads"]
+Loads = Float32[np.ndarray, "loads 3 n"]
 
 
 class CorotationalSolver:
@@ -40,20 +55,10 @@ class CorotationalSolver:
     """
 
     def __init__(self, grid: CellGrid, poisson_ratio: float) -> None:
-        self.grid = grid
-        self._stiffness = cell_stiffness(grid, poisson_ratio)
-        floor = floor_stiffness(grid)
-        self._factor = RestFactor(grid, self._stiffness, floor)
-        self._gradient = mean_gradient(grid).astype(np.float32)
-        self._rest = ((CORNERS - 0.5) * grid.edges).astype(np.float32).T[:, :, None, None]  # (3, 8, 1, 1)
-        self._corners = np.ascontiguousarray(grid.cell_nodes.T)  # (8, m)
-        self._corners_of_node = _corners_of_node(self._corners, len(grid.nodes))
-        shares = np.zeros((len(grid.nodes), len(grid.cells)), np.float32)
-        shares[grid.cell_nodes.T, np.arange(len(grid.cells))] = np.maximum(grid.fill, 1e-3)
-        self._shares = shares / shares.sum(axis=1, keepdims=True)
-        self._sole, self._bed = _bed(grid.cell_nodes[grid.floor_cells], floor)
+        self.cells = Cells.of(grid, poisson_ratio)
+        self.factor = rest_factor(self.cells)
 
-    def solve(self, force: Nodal, steps: int) -> Nodal:
+    def solve(self, force: Loads, steps: int) -> Loads:
         """Displacements under nodal forces.
 
         Args:
@@ -65,120 +70,113 @@ class CorotationalSolver:
             Finite values of at most two edges of the grid, whatever the load: one for which nothing finite comes out is
             answered as none.
         """
-        rows = np.ascontiguousarray(force.transpose(0, 2, 1))
-        u = self._factor.solve(rows)
+        places = np.empty((steps + 1, *force.shape), np.float32)
+        directions = np.empty((steps, *force.shape), np.float32)
+        solve_at_rest(self.factor, force, places[0])
         if steps:
-            u = self._unrolled(u)
-        places: list[Rows] = []
-        directions: list[Rows] = []
-        for _ in range(steps):
-            places.append(u)
-            directions.append(self._correction(u, rows))
-            u = next_place(places, directions)
-        longest = np.abs(u).max(axis=(0, 1))
-        u = u * np.minimum(1.0, _FARTHEST / np.maximum(longest, 1e-20)).astype(np.float32)
-        u[:, :, ~np.isfinite(longest)] = 0.0
-        return np.ascontiguousarray(u.transpose(0, 2, 1))
+            unrolled = np.empty_like(force)
+            _unroll(self.cells, places[0], unrolled)
+            solve_at_rest(self.factor, unrolled, places[0])
+        for step in range(steps):
+            directions[step] = self.correction(places[step], force)
+            next_places(places, directions, step)
+        u = places[steps]
+        longest = np.abs(u).max(axis=(1, 2))
+        u *= np.minimum(1.0, _FARTHEST / np.maximum(longest, 1e-20)).astype(np.float32)[:, None, None]
+        u[~np.isfinite(longest)] = 0.0
+        return u
 
-    def correction(self, u: Nodal, force: Nodal) -> Nodal:
+    def correction(self, u: Loads, force: Loads) -> Loads:
         """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
-        rows = self._correction(*(np.ascontiguousarray(array.transpose(0, 2, 1)) for array in (u, force)))
-        return np.ascontiguousarray(rows.transpose(0, 2, 1))
-
-    def deformation_gradient(self, u: Nodal) -> Float32[np.ndarray, "3 3 loads m"]:
-        """F at the centre of every cell."""
-        gradient = (self._gradient @ np.take(u, self._corners, axis=2)).transpose(0, 2, 1, 3)
-        return np.asarray(gradient + np.eye(3, dtype=np.float32)[:, :, None, None])
-
-    def _correction(self, u: Rows, force: Rows) -> Rows:
-        internal, rotation = self._internal_force(u)
-        frames = polar_rotation(self._shares @ rotation, steps=2)  # mean rotation of the cells around every node
-        return _turn(frames, self._factor.solve(_turn(frames, force - internal, transposed=True)))
-
-    def _internal_force(self, u: Rows) -> tuple[Rows, Matrices]:
-        """Forces of the deformed cells and of the bed on the nodes, and the rotations of the cells."""
-        corners = np.take(u, self._corners, axis=1)
-        gradient = self._displacement_gradient(corners)
-        for i in range(3):
-            gradient[i, i] += 1.0
-        rotation = polar_rotation(gradient, steps=3)
-        corners += self._rest
-        local = _turn(rotation, corners, transposed=True)
-        local -= self._rest
-        forces = self._gathered(_turn(rotation, self._cell_forces(local)))
-        forces[:, self._sole] += self._bed @ u[:, self._sole]
-        return forces, rotation
-
-    def _unrolled(self, u: Rows) -> Rows:
-        """The linear solution with the rotations of its cells made finite.
-
-        A cell's displacement without its mean and its infinitesimal rotation ω is turned by exp(ω); the elastic energy
-        of what the cells then miss is minimised, with the factor at hand. A load that would turn a cell farther than
-        dead loads do is taken at a share: linear elasticity winds a body up without end.
-        """
-        corners = np.take(u, self._corners, axis=1)
-        axis = spin_axis(self._displacement_gradient(corners))  # (3, m, loads)
-        largest = np.sqrt((axis * axis).sum(axis=0).max(axis=0))
-        share = np.minimum(1.0, _LARGEST_ROTATION / np.maximum(largest, 1e-20)).astype(np.float32)
-        axis *= share
-        corners *= share
-        corners -= corners.mean(axis=1, keepdims=True)
-        corners += self._rest
-        for i in range(3):
-            j, k = (i + 1) % 3, (i + 2) % 3
-            corners[i] -= axis[j] * self._rest[k] - axis[k] * self._rest[j]
-        target = _turn(exponential(axis), corners)
-        target -= self._rest
-        return self._factor.solve(self._gathered(self._cell_forces(target)))
-
-    def _displacement_gradient(self, corners: Corners) -> Matrices:
-        _, _, m, loads = corners.shape
-        return np.asarray((self._gradient @ corners.reshape(3, 8, m * loads)).reshape(3, 3, m, loads))
-
-    def _cell_forces(self, local: Corners) -> Corners:
-        _, _, m, loads = local.shape
-        forces = self._stiffness @ np.ascontiguousarray(local.transpose(2, 1, 0, 3)).reshape(m, 24, loads)
-        return np.ascontiguousarray(forces.reshape(m, 8, 3, loads).transpose(2, 1, 0, 3))
-
-    def _gathered(self, forces: Corners) -> Rows:
-        """Sums over the cells around each node."""
-        _, _, m, loads = forces.shape
-        rows = np.zeros((3, 8 * m + 1, loads), np.float32)
-        rows[:, :-1] = forces.reshape(3, 8 * m, loads)
-        return np.asarray(np.take(rows, self._corners_of_node, axis=1).sum(axis=1))
+        left, result = np.empty_like(u), np.empty_like(u)
+        frames = np.empty((len(u), 3, 3, u.shape[2]), np.float32)
+        _left_over(self.cells, u, force, left, frames)
+        solve_at_rest(self.factor, left, left)
+        for turn_node, one, turned in zip(frames, left, result, strict=True):
+            turn(turn_node, one, turned)
+        return result
 
 
-def _turn(rotation: Matrices, vectors: Rows | Corners, transposed: bool = False) -> Rows | Corners:
-    """R v, or Rᵀ v, of the vectors of nodes or of the corners of cells."""
-    columns = rotation if transposed else rotation.swapaxes(0, 1)
-    if vectors.ndim == 4:
-        columns = columns[:, :, None]
-    result = columns[0] * vectors[0]
-    part = np.empty_like(result)
-    for j in (1, 2):
-        result += np.multiply(columns[j], vectors[j], out=part)
-    return np.asarray(result)
+@compiled
+def _unroll(cells: Cells, displacement: Loads, result: Loads) -> None:
+    """The forces that belong to linear solutions with the rotations of their cells made finite.
+
+    A cell's displacement without its mean and its infinitesimal rotation ω is turned by exp(ω); under these forces the
+    elastic energy of what the cells then miss is least. A load that would turn a cell farther than dead loads do is
+    taken at a share: linear elasticity winds a body up without end.
+    """
+    k = cells.nodes.shape[1]
+    corners, turned = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
+    rotation, axis, mean = np.empty((3, 3, k), np.float32), np.empty((3, k), np.float32), np.empty(k, np.float32)
+    for load in range(len(displacement)):
+        at_corners(cells, displacement[load], corners)
+        gradients(cells, corners, rotation)
+        spin_axes(rotation, axis)
+        largest = np.float32(1e-20)
+        for c in range(k):
+            largest = max(largest, axis[0, c] * axis[0, c] + axis[1, c] * axis[1, c] + axis[2, c] * axis[2, c])
+        share = min(np.float32(1.0), _LARGEST_ROTATION / np.sqrt(largest))
+        exponentials(axis, share, rotation)
+        for i in range(len(axis)):
+            spin_j, spin_k = axis[(i + 1) % 3], axis[(i + 2) % 3]
+            mean[:] = 0.0
+            for a in range(len(corners)):
+                row = corners[a, i]
+                for c in range(k):
+                    mean[c] += np.float32(0.125) * row[c]
+            for a in range(len(corners)):
+                row, rest_j, rest_k = corners[a, i], cells.rest[a, (i + 1) % 3], cells.rest[a, (i + 2) % 3]
+                for c in range(k):
+                    row[c] = share * (row[c] - mean[c] - (spin_j[c] * rest_k - spin_k[c] * rest_j))
+        _add_rest(cells, np.float32(1.0), corners)
+        for a in range(len(corners)):
+            turn(rotation, corners[a], turned[a])
+        _add_rest(cells, np.float32(-1.0), turned)
+        cell_forces(cells, turned, corners)
+        at_nodes(cells, corners, result[load])
 
 
-def _corners_of_node(corners: Int[np.ndarray, "8 m"], nodes: int) -> Int[np.ndarray, "most n"]:
-    """Row m·corner + cell of every corner that is this node; the row after the last one where there are fewer."""
-    node = corners.ravel()
-    order = np.argsort(node, kind="stable")
-    count = np.bincount(node, minlength=nodes)
-    sorted_node = node[order]
-    table = np.full((count.max(), nodes), len(node))
-    table[np.arange(len(node)) - (np.cumsum(count) - count)[sorted_node], sorted_node] = order
-    return table
+@compiled
+def _left_over(cells: Cells, u: Loads, force: Loads, left: Loads, frames: Float32[np.ndarray, "loads 3 3 n"]) -> None:
+    """Write the forces that the deformed cells leave over, in the frames of the nodes, and these."""
+    rotation = np.empty((3, 3, cells.nodes.shape[1]), np.float32)
+    missing = np.empty_like(u[0])
+    for load in range(len(u)):
+        _internal_force(cells, u[load], missing, rotation)
+        for i in range(len(missing)):
+            row, applied = missing[i], force[load, i]
+            for v in range(len(row)):
+                row[v] = applied[v] - row[v]
+        mean_at_nodes(cells, rotation, frames[load])
+        polar_rotations(frames[load])
+        turn_back(frames[load], missing, left[load])
 
 
-def _bed(
-    cell_nodes: Int[np.ndarray, "b 8"], stiffness: Float64[np.ndarray, "b 8 8"]
-) -> tuple[Int[np.ndarray, " s"], Float32[np.ndarray, "s s"]]:
-    """Nodes of the bed under the sole, and its stiffness between them."""
-    lower = np.flatnonzero(CORNERS[:, 2] == 0)
-    sole, index = np.unique(cell_nodes[:, lower], return_inverse=True)
-    index = index.reshape(-1, 4)
-    s = len(sole)
-    entries = (index[:, :, None] * s + index[:, None, :]).ravel()
-    values = stiffness[:, lower][:, :, lower].ravel()
-    return sole, np.bincount(entries, values, s * s).reshape(s, s).astype(np.float32)
+@compiled
+def _internal_force(cells: Cells, u: Nodal, force: Nodal, rotation: Matrices) -> None:
+    """Forces of the deformed cells and of the bed on the nodes, and the rotations of the cells."""
+    k = cells.nodes.shape[1]
+    corners, local = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
+    at_corners(cells, u, corners)
+    gradients(cells, corners, rotation)
+    _add_rest(cells, np.float32(1.0), corners)
+    add_identity(rotation)
+    polar_rotations(rotation)
+    for a in range(len(corners)):
+        turn_back(rotation, corners[a], local[a])
+    _add_rest(cells, np.float32(-1.0), local)
+    cell_forces(cells, local, corners)
+    for a in range(len(corners)):
+        turn(rotation, corners[a], local[a])
+    at_nodes(cells, local, force)
+    add_bed(cells, u, force)
+
+
+@compiled
+def _add_rest(cells: Cells, times: float, corners: Corners) -> None:
+    """From displacements of the corners to their places, or back."""
+    for a in range(len(corners)):
+        for i in range(corners.shape[1]):
+            row, rest = corners[a, i], times * cells.rest[a, i]
+            for c in range(len(row)):
+                row[c] += rest

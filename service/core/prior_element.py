@@ -28,7 +28,7 @@ _FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], ind
 _FLOOR_PAIRS = (_FLOOR_SHAPE[:, :, None] * _FLOOR_SHAPE[:, None, :]).reshape(9, 64)
 
 
-def cell_stiffness(grid: CellGrid, poisson_ratio: float) -> Float32[np.ndarray, "m 24 24"]:
+def cell_stiffness(grid: CellGrid, poisson_ratio: float, count: int) -> Float32[np.ndarray, "24 24 count"]:
     """Stiffness of every cell for Young's modulus 1; local degree of freedom 3·node + axis.
 
     The displacement gradient is enhanced by α_ij (ξ_j − ½) with the α of a full cell, whose nine equations are
@@ -39,6 +39,7 @@ def cell_stiffness(grid: CellGrid, poisson_ratio: float) -> Float32[np.ndarray, 
     Args:
         grid: The cells.
         poisson_ratio: ν in [0, 0.49].
+        count: Cells of the answer, at least as many; those after the body's have no stiffness.
 
     Source: Simo and Rifai, IJNME 29 (1990), here with the enhancement of the full parallelepiped (Taylor, Beresford and
     Wilson, IJNME 10 (1976)) also in cells that are part full.
@@ -54,23 +55,18 @@ def cell_stiffness(grid: CellGrid, poisson_ratio: float) -> Float32[np.ndarray, 
     parameters = -12.0 * coupling / np.diag(moduli)[:, None]
     enhanced = operator + modes[:, :, None] * parameters
     table = enhanced.transpose(0, 2, 1) @ (moduli @ enhanced)
-    weights = grid.weights * np.maximum(grid.fill, 1e-3) ** (FILL_POWER - 1.0)
     laplace = np.tensordot(_WEIGHTS_27, operator.transpose(0, 2, 1) @ operator, axes=1)
     table = np.concatenate([table, laplace[None]]).reshape(28, 576) * grid.edges.prod()
-    void = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
-    stiffness = np.concatenate([weights, void[None]]).astype(np.float32).T @ table.astype(np.float32)
-    return np.asarray(stiffness.reshape(-1, 24, 24))
+    share = np.zeros((28, count), np.float32)
+    share[:27, : len(grid.cells)] = grid.weights * np.maximum(grid.fill, 1e-3) ** (FILL_POWER - 1.0)
+    share[27, : len(grid.cells)] = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
+    return np.asarray((table.astype(np.float32).T @ share).reshape(24, 24, count))
 
 
 def floor_stiffness(grid: CellGrid) -> Float64[np.ndarray, "b 8 8"]:
     """Stiffness of the bed under every floor cell, the same along each axis."""
     scale = FLOOR_STIFFNESS * grid.edges[0] * grid.edges[1]
     return np.asarray((scale * grid.floor_weights.T @ _FLOOR_PAIRS).reshape(-1, 8, 8))
-
-
-def mean_gradient(grid: CellGrid) -> Float64[np.ndarray, "axis=3 8"]:
-    """∂u/∂X at the centre of a cell from its nodal values; also its mean over the cell."""
-    return np.asarray((_SIGNS / 4.0 / grid.edges).T)
 
 
 def elastic_moduli(poisson_ratio: float) -> Float64[np.ndarray, "9 9"]:

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int
+from jaxtyping import Bool, Float, Float32, Float64, Int, UInt64
 
 from service.core.arrays import GRID_SIZE, Occupancy
+from service.core.compiled import compiled
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
@@ -41,7 +42,7 @@ class CellGrid:
         weights: Quadrature weight of each of the 27 Gauss points, in volumes of a cell. They integrate polynomials up
             to the second degree in each coordinate over the material of the cell exactly; some may be negative.
         fill: Part of each cell that holds material.
-        nodes: Index of every node in the box, from 0 to `shape`.
+        nodes: Index of every node in the box, from 0 to `shape`; those of a cell have numbers that lie near.
         cell_nodes: Node number of each corner of each cell, corner 4·dx + 2·dy + dz.
         floor_cells: Which cells stand on the floor.
         floor_weights: As `weights`, of the 3×3 Gauss points of their lower faces, over the sole of the body.
@@ -92,8 +93,11 @@ class CellGrid:
         for dx, dy, dz in CORNERS:
             used[dx : nx + dx, dy : ny + dy, dz : nz + dz] |= kept
         node_of_box = np.full(used.shape, -1)
-        nodes = np.argwhere(used)
-        node_of_box[used] = np.arange(len(nodes))
+        # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
+        order = np.argsort([-nx, -ny, -nz], kind="stable")
+        places = np.nonzero(used.transpose(order))
+        node_of_box.transpose(order)[places] = np.arange(len(places[0]))
+        nodes = np.stack([places[list(order).index(axis)] for axis in range(3)], axis=1)
         corners = active[:, None, :] + CORNERS
         cell_of_box = np.full(kept.shape, -1)
         cell_of_box[kept] = np.arange(len(active))
@@ -117,35 +121,71 @@ class CellGrid:
         """Rest position of every node."""
         return np.asarray(self.low + self.nodes * self.edges)
 
-    def interpolation(self, points: Float32[np.ndarray, "3 k"]) -> Float32[np.ndarray, "k n"]:
-        """The table that takes nodal values to points; its transpose takes forces at points to nodal forces.
+    def at_nodes(
+        self, points: Float32[np.ndarray, "3 k"], values: Float32[np.ndarray, " k"]
+    ) -> Float32[np.ndarray, " n"]:
+        """What values at points come to at the nodes by the shape functions of the cells, as of forces.
 
         A point outside the kept cells belongs to the nearest one; where several are equally near, as in symmetric
         bodies, to each a part, or rounding would decide.
         """
-        place = (points - self.low.astype(np.float32)[:, None]) / self.edges.astype(np.float32)[:, None]
-        index = np.minimum(place.astype(np.int64), np.array(self.shape)[:, None] - 1)
-        np.maximum(index, 0, out=index)
-        cell = self._cell_of_box[index[0], index[1], index[2]]
-        row, part = np.arange(len(cell)), np.ones(len(cell), np.float32)
-        stray = np.flatnonzero(cell < 0)
-        if len(stray):
-            squared = ((self.cells.T[:, None] + 0.5 - place[:, stray, None]) ** 2).sum(axis=0)
-            which, nearest = np.nonzero(squared < squared.min(axis=1, keepdims=True) + 1e-5)
-            kept = np.flatnonzero(cell >= 0)
-            row = np.concatenate([kept, stray[which]])
-            cell = np.concatenate([cell[kept], nearest])
-            part = (1.0 / np.bincount(row)[row]).astype(np.float32)
-        local = np.clip(place[:, row] - self.cells.T[:, cell], 0.0, 1.0).astype(np.float32)
-        n = len(self.nodes)
-        entries = self.cell_nodes.T[:, cell] + row * n
-        shape = shape_functions(local) * part
-        if len(row) > points.shape[1]:  # several cells of a point may share a node
-            sums = np.bincount(entries.ravel(), shape.ravel(), points.shape[1] * n)
-            return sums.reshape(-1, n).astype(np.float32)
-        table = np.zeros((points.shape[1], n), np.float32)
-        table.ravel()[entries] = shape
-        return table
+        result = np.zeros(len(self.nodes), np.float32)
+        low, edges = self.low.astype(np.float32), self.edges.astype(np.float32)
+        _add_at_nodes(points, values, low, edges, self.cells, self.cell_nodes, self._cell_of_box, result)
+        return result
+
+
+@compiled
+def _add_at_nodes(
+    points: Float32[np.ndarray, "3 k"], values: Float32[np.ndarray, " k"], low: Float32[np.ndarray, "3"],
+    edges: Float32[np.ndarray, "3"], cells: Int[np.ndarray, "m 3"], cell_nodes: Int[np.ndarray, "m 8"],
+    cell_of_box: Int[np.ndarray, "x y z"], result: Float32[np.ndarray, " n"],
+) -> None:  # fmt: skip
+    """See `CellGrid.at_nodes`."""
+    size_x, size_y, size_z = cell_of_box.shape
+    for k in range(len(values)):
+        if values[k] == 0.0:
+            continue
+        x, y = (points[0, k] - low[0]) / edges[0], (points[1, k] - low[1]) / edges[1]
+        z = (points[2, k] - low[2]) / edges[2]
+        cell = cell_of_box[
+            max(min(int(x), size_x - 1), 0), max(min(int(y), size_y - 1), 0), max(min(int(z), size_z - 1), 0)
+        ]
+        if cell >= 0:
+            _add_to_cell(x, y, z, values[k], cells[cell], cell_nodes[cell], result)
+            continue
+        least, ties = np.float32(np.inf), 0
+        for c in range(len(cells)):
+            least = min(least, _squared_distance(x, y, z, cells[c]))
+        for c in range(len(cells)):
+            if _squared_distance(x, y, z, cells[c]) < least + np.float32(1e-5):
+                ties += 1
+        for c in range(len(cells)):
+            if _squared_distance(x, y, z, cells[c]) < least + np.float32(1e-5):
+                _add_to_cell(x, y, z, values[k] / np.float32(ties), cells[c], cell_nodes[c], result)
+
+
+@compiled
+def _squared_distance(x: float, y: float, z: float, cell: Int[np.ndarray, "3"]) -> float:
+    """To the centre of a cell, in edges of it."""
+    half = np.float32(0.5)
+    x, y, z = np.float32(cell[0]) + half - x, np.float32(cell[1]) + half - y, np.float32(cell[2]) + half - z
+    return x * x + y * y + z * z
+
+
+@compiled
+def _add_to_cell(
+    x: float, y: float, z: float, value: float, cell: Int[np.ndarray, "3"], nodes: Int[np.ndarray, "8"],
+    result: Float32[np.ndarray, " n"],
+) -> None:  # fmt: skip
+    """Add a value at a place, in edges of a cell, to the corners of the cell."""
+    zero, one = np.float32(0.0), np.float32(1.0)
+    x = min(max(x - np.float32(cell[0]), zero), one)
+    y = min(max(y - np.float32(cell[1]), zero), one)
+    z = min(max(z - np.float32(cell[2]), zero), one)
+    for a in range(8):
+        along_x, along_y, along_z = x if a & 4 else one - x, y if a & 2 else one - y, z if a & 1 else one - z
+        result[nodes[a]] += value * along_x * along_y * along_z
 
 
 def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]:
@@ -158,14 +198,20 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
     return np.asarray(product.reshape(8, -1))
 
 
+def column_words(occupancy: Occupancy) -> UInt64[np.ndarray, "x y"]:
+    """The voxels of every column along z as the bits of a word, the lowest first."""
+    return np.packbits(np.ascontiguousarray(occupancy), axis=2, bitorder="little").view("<u8")[:, :, 0]
+
+
 def _bounds(occupancy: Occupancy) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
     """First voxel of the bounding box and one past its last, along each axis."""
-    above = np.asarray(occupancy.any(axis=0))
-    filled = [np.flatnonzero(occupancy.any(axis=(1, 2))), np.flatnonzero(above.any(axis=1))]
-    filled.append(np.flatnonzero(above.any(axis=0)))
-    if len(filled[0]) == 0:
+    words = column_words(occupancy)
+    above = np.bitwise_or.reduce(words, axis=None, keepdims=True)
+    if not above.any():
         raise ValueError("an empty body has no elastic solution: the occupancy holds no voxel")
-    return np.array([index[0] for index in filled]), np.array([index[-1] + 1 for index in filled])
+    filled = [words.any(axis=1), words.any(axis=0), np.unpackbits(above.view(np.uint8).ravel(), bitorder="little")]
+    index = [np.flatnonzero(each) for each in filled]
+    return np.array([each[0] for each in index]), np.array([each[-1] + 1 for each in index])
 
 
 @lru_cache(maxsize=512)

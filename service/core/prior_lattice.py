@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32, Int
 
+from service.core.compiled import compiled
 from service.core.prior_grid import CellGrid
 
 LATTICE_SIZE = 16
@@ -13,7 +14,7 @@ LATTICE_SIZE = 16
 Lattices = Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]
 
 
-def forward_lattice(grid: CellGrid, nodal: Float32[np.ndarray, "3 loads n"]) -> Lattices:
+def forward_lattice(grid: CellGrid, nodal: Float32[np.ndarray, "loads 3 n"]) -> Lattices:
     """u(x) at rest: trilinear in the cells, held constant outside the box that they fill.
 
     Places of the box without a node take the mean of their neighbours that have a value, from the body outwards.
@@ -22,38 +23,61 @@ def forward_lattice(grid: CellGrid, nodal: Float32[np.ndarray, "3 loads n"]) -> 
         grid: Cells of the body.
         nodal: Displacement of every node, in edges of the body grid.
     """
-    _, loads, _ = nodal.shape
-    corners = tuple(cells + 1 for cells in grid.shape)
-    box = np.zeros((3 * loads, *corners), np.float32)
-    known = np.zeros(corners, bool)
-    place = tuple(grid.nodes.T)
-    box[(slice(None), *place)] = nodal.reshape(3 * loads, -1)
-    known[place] = True
-    values = _spread(box, known)
+    x, y, z = (cells + 1 for cells in grid.shape)
+    box = np.zeros((3 * len(nodal), x * y * z), np.float32)
+    when = np.full((x, y, z), -1)
+    place = np.ravel_multi_index(tuple(grid.nodes.T), (x, y, z))
+    box[:, place] = nodal.reshape(len(box), -1)
+    when.ravel()[place] = 0
+    _spread(box, when)
+    tables = [_interpolation(float(grid.low[axis]), float(grid.edges[axis]), grid.shape[axis] + 1) for axis in range(3)]
+    along_z = box.reshape(-1, z) @ tables[2].T
+    along_y = np.matmul(tables[1], along_z.reshape(-1, y, LATTICE_SIZE))
+    along_x = np.matmul(tables[0], along_y.reshape(-1, x, LATTICE_SIZE**2))
+    return np.asarray(along_x.reshape(-1, 3, *(LATTICE_SIZE,) * 3))
+
+
+@compiled
+def _spread(values: Float32[np.ndarray, "c places"], when: Int[np.ndarray, "x y z"]) -> None:
+    """Carry the values on, step by step, to where none is known.
+
+    Args:
+        values: At the places of the box.
+        when: The step in which each place got its values: 0 where they are given, -1 where they are not known yet.
+    """
+    size_x, size_y, size_z = when.shape
+    step, missing = 0, True
+    while missing:
+        step, missing = step + 1, False
+        for x in range(size_x):
+            for y in range(size_y):
+                for z in range(size_z):
+                    if when[x, y, z] < 0 and not _take_mean(values, when, x, y, z, step):
+                        missing = True
+
+
+@compiled
+def _take_mean(
+    values: Float32[np.ndarray, "c places"], when: Int[np.ndarray, "x y z"], x: int, y: int, z: int, step: int
+) -> bool:
+    """Give a place the mean of its neighbours that had values before this step; False where there are none."""
+    size_x, size_y, size_z = when.shape
+    known = 0
+    neighbours = np.empty(6, np.int64)
     for axis in range(3):
-        table = _interpolation(float(grid.low[axis]), float(grid.edges[axis]), corners[axis])
-        values = np.moveaxis(np.tensordot(table, values, axes=(1, axis + 1)), 0, axis + 1)
-    return np.ascontiguousarray(values.reshape(3, loads, *(LATTICE_SIZE,) * 3).swapaxes(0, 1))
-
-
-def _spread(
-    values: Float32[np.ndarray, "c x y z"], known: Bool[np.ndarray, "x y z"]
-) -> Float32[np.ndarray, "c x y z"]:
-    """The values, carried on step by step to where none is known."""
-    known = known.copy()
-    while not known.all():
-        total, count = np.zeros_like(values), np.zeros(known.shape, np.float32)
-        for axis in range(3):
-            ahead: list[slice] = [slice(None)] * 3
-            behind: list[slice] = [slice(None)] * 3
-            ahead[axis], behind[axis] = slice(1, None), slice(None, -1)
-            for to, of in ((tuple(ahead), tuple(behind)), (tuple(behind), tuple(ahead))):
-                total[(slice(None), *to)] += values[(slice(None), *of)]
-                count[to] += known[of]
-        reached = ~known & (count > 0)
-        values[:, reached] = total[:, reached] / count[reached]
-        known |= reached
-    return values
+        for side in (-1, 1):
+            i, j, k = x + side * (axis == 0), y + side * (axis == 1), z + side * (axis == 2)
+            if 0 <= i < size_x and 0 <= j < size_y and 0 <= k < size_z and 0 <= when[i, j, k] < step:
+                neighbours[known] = (i * size_y + j) * size_z + k
+                known += 1
+    if known:
+        when[x, y, z] = step
+        for c in range(len(values)):
+            total = np.float32(0.0)
+            for other in neighbours[:known]:
+                total += values[c, other]
+            values[c, (x * size_y + y) * size_z + z] = total / np.float32(known)
+    return known > 0
 
 
 def _interpolation(low: float, edge: float, nodes: int) -> Float32[np.ndarray, "lattice nodes"]:

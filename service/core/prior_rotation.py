@@ -1,106 +1,148 @@
 """Rotations of the cells of a coarse solve: exponential, polar decomposition.
 
-All arrays are laid out components first, (3, 3, …), so that one operation serves all cells and loads.
+Compiled loops over cells; matrices are laid out components first, (3, 3, k), so that eight cells are treated at once.
 """
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import Float32
 
-Matrices = Float32[np.ndarray, "3 3 *rest"]
+from service.core.compiled import compiled
 
-_MIN_DETERMINANT = 1e-3
+Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+Matrices = Float32[np.ndarray, "3 3 k"]
+Vectors = Float32[np.ndarray, "3 k"]
+
+_MIN_DETERMINANT = np.float32(1e-3)
 """A cell squeezed to less than this, or turned inside out, has no rotation of its own."""
 
+_NEWTON_STEPS = 3
+"""Exact to a thousandth for stretches up to two."""
 
-class Cofactors:
-    """Cofactors (the transposed adjugate) and determinants of matrices that change in place.
+_HALF, _THIRD = np.float32(0.5), np.float32(1.0 / 3.0)
 
-    Cofactor (i, j) is m_(i+1)(j+1) m_(i+2)(j+2) − m_(i+1)(j+2) m_(i+2)(j+1), indices modulo three: the matrices are
-    kept with their first two rows and columns repeated, so that each of the four factors is a view.
 
-    Attributes:
-        matrix: The matrices.
-        values: Their cofactors as of the last update.
+@compiled
+def polar_rotations(matrices: Matrices) -> None:
+    """Replace every F by the rotation R of F = R U; where F is inverted, by the exponential of its skew part.
+
+    Newton's iteration with the determinant's cube root as its scale. Source: Higham, SIAM J. Sci. Stat. Comput. 7
+    (1986), 3.2.
     """
-
-    def __init__(self, matrices: Matrices) -> None:
-        self._cyclic = np.empty((5, 5, *matrices.shape[2:]), np.float32)
-        self.matrix: Matrices = self._cyclic[:3, :3]
-        self.matrix[...] = matrices
-        self.values: Matrices = np.empty_like(matrices, order="C")
-        self._minor = np.empty_like(self.values)
-        c = self._cyclic
-        self._factors = c[1:4, 1:4], c[2:5, 2:5], c[1:4, 2:5], c[2:5, 1:4]
-
-    def update(self) -> Float32[np.ndarray, "*rest"]:
-        """Bring the cofactors up to date, and return the determinants."""
-        self._cyclic[3:, :3] = self._cyclic[:2, :3]
-        self._cyclic[:, 3:] = self._cyclic[:, :2]
-        a, d, b, c = self._factors
-        np.multiply(a, d, out=self.values)
-        np.multiply(b, c, out=self._minor)
-        self.values -= self._minor
-        first = np.multiply(self.matrix[0], self.values[0], out=self._minor[0])
-        determinant = first[0] + first[1]
-        determinant += first[2]
-        return np.asarray(determinant)
+    _replace_inverted(matrices)
+    for k in range(matrices.shape[2]):
+        a, b, c = matrices[0, 0, k], matrices[0, 1, k], matrices[0, 2, k]
+        d, e, f = matrices[1, 0, k], matrices[1, 1, k], matrices[1, 2, k]
+        g, h, i = matrices[2, 0, k], matrices[2, 1, k], matrices[2, 2, k]
+        for _ in range(_NEWTON_STEPS):
+            ca, cb, cc, cd, ce, cf, cg, ch, ci = cofactors(a, b, c, d, e, f, g, h, i)
+            scale = inverse_cube_root(a * ca + b * cb + c * cc)
+            s, t = _HALF * scale, _HALF * scale * scale
+            a, b, c = s * a + t * ca, s * b + t * cb, s * c + t * cc
+            d, e, f = s * d + t * cd, s * e + t * ce, s * f + t * cf
+            g, h, i = s * g + t * cg, s * h + t * ch, s * i + t * ci
+        matrices[0, 0, k], matrices[0, 1, k], matrices[0, 2, k] = a, b, c
+        matrices[1, 0, k], matrices[1, 1, k], matrices[1, 2, k] = d, e, f
+        matrices[2, 0, k], matrices[2, 1, k], matrices[2, 2, k] = g, h, i
 
 
-def polar_rotation(gradient: Matrices, steps: int = 4) -> Matrices:
-    """The rotation R of F = R U; where F is inverted, the exponential of its skew part.
-
-    Args:
-        gradient: F.
-        steps: Of Newton's iteration, with the determinant as its scale. Three are exact to a thousandth for stretches
-            up to two; two for a mean of rotations.
-
-    Source: Higham, SIAM J. Sci. Stat. Comput. 7 (1986), 3.2.
-    """
-    newton = Cofactors(gradient)
-    matrix, cofactors = newton.matrix, newton.values
-    determinant = newton.update()
-    bad = determinant < _MIN_DETERMINANT
-    if bad.any():
-        matrix[:, :, bad] = exponential(spin_axis(matrix[:, :, bad]))
-        determinant = newton.update()
-    for step in range(steps):
-        if step:
-            determinant = newton.update()
-        # half of s F + s² cof F, s the inverse of the determinant's cube root
-        scale = np.cbrt(determinant)
-        np.divide(np.float32(0.5), scale, out=scale)
-        matrix *= scale
-        scale *= scale
-        scale *= np.float32(2.0)
-        cofactors *= scale
-        matrix += cofactors
-    return matrix
+@compiled
+def _replace_inverted(matrices: Matrices) -> None:
+    for k in range(matrices.shape[2]):
+        a, b, c = matrices[0, 0, k], matrices[0, 1, k], matrices[0, 2, k]
+        d, e, f = matrices[1, 0, k], matrices[1, 1, k], matrices[1, 2, k]
+        g, h, i = matrices[2, 0, k], matrices[2, 1, k], matrices[2, 2, k]
+        if a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g) < _MIN_DETERMINANT:
+            a, b, c, d, e, f, g, h, i = exponential(_HALF * (h - f), _HALF * (c - g), _HALF * (d - b))
+            matrices[0, 0, k], matrices[0, 1, k], matrices[0, 2, k] = a, b, c
+            matrices[1, 0, k], matrices[1, 1, k], matrices[1, 2, k] = d, e, f
+            matrices[2, 0, k], matrices[2, 1, k], matrices[2, 2, k] = g, h, i
 
 
-def spin_axis(gradient: Matrices) -> Float32[np.ndarray, "3 *rest"]:
-    """Axis ω of the infinitesimal rotation, half the curl."""
-    return 0.5 * np.stack(
-        [gradient[2, 1] - gradient[1, 2], gradient[0, 2] - gradient[2, 0], gradient[1, 0] - gradient[0, 1]]
-    )
+@compiled
+def cofactors(a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float) -> Nine:
+    """Cofactors (the transposed adjugate) of a matrix given row by row; its inverse is their transpose by det."""
+    return (
+        e * i - f * h, f * g - d * i, d * h - e * g,
+        h * c - i * b, i * a - g * c, g * b - h * a,
+        b * f - c * e, c * d - a * f, a * e - b * d,
+    )  # fmt: skip
 
 
-def exponential(skew: Float32[np.ndarray, "3 *rest"]) -> Matrices:
-    """Rotation by the angle |ω| about ω.
+@compiled
+def inverse_cube_root(x: float) -> float:
+    """x^(−1/3) of a positive float32, exact to rounding: Newton's method from a third of the exponent's bits."""
+    root = np.int32(0x54A2FA8C - np.float32(x).view(np.int32) // np.int32(3)).view(np.float32)
+    for _ in range(3):
+        root *= np.float32(4.0) * _THIRD - _THIRD * x * root * root * root
+    return root
+
+
+@compiled
+def exponential(x: float, y: float, z: float) -> Nine:
+    """Rotation by the angle |ω| about ω = (x, y, z), row by row.
 
     Source: Rodrigues; exp(ω) = cos θ I + sin θ/θ [ω]× + (1 − cos θ)/θ² ω ωᵀ.
     """
-    squared = (skew * skew).sum(axis=0)
-    angle = np.sqrt(squared)
-    sine = np.sinc(angle / np.float32(np.pi))
-    half = np.sinc(angle / np.float32(2.0 * np.pi))
-    result = (0.5 * half * half) * skew[:, None] * skew[None]
-    cosine = np.cos(angle)
-    spin = sine * skew
+    angle = np.sqrt(x * x + y * y + z * z)
+    cosine, sine, versine = np.cos(angle), np.float32(1.0), _HALF
+    if angle > 1e-4:
+        sine = np.sin(angle) / angle
+        half = np.sin(_HALF * angle) / (_HALF * angle)
+        versine = _HALF * half * half
+    return (
+        versine * x * x + cosine, versine * x * y - sine * z, versine * x * z + sine * y,
+        versine * y * x + sine * z, versine * y * y + cosine, versine * y * z - sine * x,
+        versine * z * x - sine * y, versine * z * y + sine * x, versine * z * z + cosine,
+    )  # fmt: skip
+
+
+@compiled
+def exponentials(axes: Vectors, share: float, result: Matrices) -> None:
+    """`exponential` of a share of every axis."""
+    for k in range(axes.shape[1]):
+        a, b, c, d, e, f, g, h, i = exponential(share * axes[0, k], share * axes[1, k], share * axes[2, k])
+        result[0, 0, k], result[0, 1, k], result[0, 2, k] = a, b, c
+        result[1, 0, k], result[1, 1, k], result[1, 2, k] = d, e, f
+        result[2, 0, k], result[2, 1, k], result[2, 2, k] = g, h, i
+
+
+@compiled
+def spin_axes(gradients: Matrices, result: Vectors) -> None:
+    """Axes ω of the infinitesimal rotations, half the curl."""
     for i in range(3):
-        j, k = (i + 1) % 3, (i + 2) % 3
-        result[i, i] += cosine
-        result[k, j] += spin[i]
-        result[j, k] -= spin[i]
-    return np.asarray(result, np.float32)
+        more, less, row = gradients[(i + 2) % 3, (i + 1) % 3], gradients[(i + 1) % 3, (i + 2) % 3], result[i]
+        for k in range(len(row)):
+            row[k] = _HALF * (more[k] - less[k])
+
+
+@compiled
+def add_identity(matrices: Matrices) -> None:
+    """From displacement gradients to deformation gradients."""
+    for i in range(len(matrices)):
+        row = matrices[i, i]
+        for k in range(len(row)):
+            row[k] += np.float32(1.0)
+
+
+@compiled
+def turn(rotations: Matrices, vectors: Vectors, result: Vectors) -> None:
+    """R v of every rotation and vector."""
+    x, y, z = vectors[0], vectors[1], vectors[2]
+    for i in range(len(result)):
+        a, b, c, row = rotations[i, 0], rotations[i, 1], rotations[i, 2], result[i]
+        for k in range(len(row)):
+            row[k] = a[k] * x[k] + b[k] * y[k] + c[k] * z[k]
+
+
+@compiled
+def turn_back(rotations: Matrices, vectors: Vectors, result: Vectors) -> None:
+    """Rᵀ v of every rotation and vector."""
+    x, y, z = vectors[0], vectors[1], vectors[2]
+    for i in range(len(result)):
+        a, b, c, row = rotations[0, i], rotations[1, i], rotations[2, i], result[i]
+        for k in range(len(row)):
+            row[k] = a[k] * x[k] + b[k] * y[k] + c[k] * z[k]

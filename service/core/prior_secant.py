@@ -2,58 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
-DEPTH = 2
-"""Earlier places that a step looks back on."""
+from service.core.compiled import compiled
 
 _LARGEST_SHARE = 2.0
 """Of a move between earlier places that is taken back or repeated."""
 
-_LONGEST_STEP = 0.2
+_LONGEST_STEP = np.float32(0.2)
 """No correction is longer, in edges of the body grid."""
 
 _DAMPING = 1e-4
 """Of the least squares of the step, of their mean diagonal."""
 
-Rows = Float32[np.ndarray, "3 n loads"]
+_TINY = 1e-20
 
 
-def next_place(places: Sequence[Rows], directions: Sequence[Rows]) -> Rows:
-    """The next place of every load.
+@compiled
+def next_places(
+    places: Float32[np.ndarray, "steps loads 3 n"], directions: Float32[np.ndarray, "steps loads 3 n"], step: int
+) -> None:
+    """Write the next place of every load after those of this step.
 
-    The combination of corrections that is smallest, by the differences to the earlier ones, is followed for as long as
-    the last correction proved right to be.
+    The combination of corrections that is smallest, by the differences to the two earlier ones, is followed for as long
+    as the last correction proved right to be.
 
     Args:
-        places: Displacements passed, the last one last.
+        places: Displacements passed; those after this step are not read.
         directions: Corrections found there.
+        step: From 0.
 
     Source: Anderson, J. ACM 12 (1965), of depth two; the length: Barzilai and Borwein, IMA J. Numer. Anal. 8 (1988).
     """
-    middle, rest = places[-1], directions[-1]
-    earlier = range(len(places) - 2, max(len(places) - 2 - DEPTH, -1), -1)
-    if earlier:
-        moves = [places[-1] - places[k] for k in earlier]
-        changes = [directions[-1] - directions[k] for k in earlier]
-        products = np.stack([[_product(a, b) for b in (*changes, rest)] for a in changes])  # (depth, depth + 1, loads)
-        normal = products[:, :-1].transpose(2, 0, 1).copy()
-        spread = np.trace(normal, axis1=1, axis2=2) / len(moves)
-        normal += (_DAMPING * spread + 1e-20)[:, None, None] * np.eye(len(moves))
-        share = np.linalg.solve(normal, products[:, -1].T[:, :, None])[:, :, 0].T
-        share = np.clip(share, -_LARGEST_SHARE, _LARGEST_SHARE).astype(np.float32)
-        length = np.sqrt(_product(moves[0], moves[0]) / np.maximum(products[0, 0], 1e-20))
-        length = np.minimum(1.0, length).astype(np.float32)
-        for part, move, change in zip(share, moves, changes, strict=True):
-            middle = middle - part * move
-            rest = rest - part * change
-        rest = length * rest
-    longest = np.maximum(np.abs(rest).max(axis=(0, 1)), 1e-20)
-    return np.asarray(middle + rest * np.minimum(1.0, _LONGEST_STEP / longest).astype(np.float32))
+    for load in range(places.shape[1]):
+        now, rest = places[step, load].ravel(), directions[step, load].ravel()
+        # without an earlier place the last one stands for it: no move, no change
+        place_1, rest_1 = places[max(step - 1, 0), load].ravel(), directions[max(step - 1, 0), load].ravel()
+        place_2, rest_2 = places[max(step - 2, 0), load].ravel(), directions[max(step - 2, 0), load].ravel()
+        if step < 2:
+            place_2, rest_2 = now, rest
+        move, one, other, both, left_1, left_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for i in range(len(now)):
+            change_1, change_2 = rest[i] - rest_1[i], rest[i] - rest_2[i]
+            move += (now[i] - place_1[i]) ** 2
+            one += change_1 * change_1
+            other += change_2 * change_2
+            both += change_1 * change_2
+            left_1 += change_1 * rest[i]
+            left_2 += change_2 * rest[i]
+        share_1, share_2 = _least_squares(one, other, both, left_1, left_2)
+        length = np.float32(min(1.0, np.sqrt(move / max(one, _TINY)))) if step else np.float32(1.0)
+        result, longest = places[step + 1, load].ravel(), np.float32(_TINY)
+        for i in range(len(now)):
+            correction = length * (rest[i] - share_1 * (rest[i] - rest_1[i]) - share_2 * (rest[i] - rest_2[i]))
+            result[i] = correction
+            longest = max(longest, abs(correction))
+        scale = min(np.float32(1.0), _LONGEST_STEP / longest)
+        for i in range(len(now)):
+            middle = now[i] - share_1 * (now[i] - place_1[i]) - share_2 * (now[i] - place_2[i])
+            result[i] = middle + scale * result[i]
 
 
-def _product(a: Rows, b: Rows) -> Float64[np.ndarray, " loads"]:
-    return np.asarray((a * b).sum(axis=(0, 1)), np.float64)
+@compiled
+def _least_squares(one: float, other: float, both: float, left_1: float, left_2: float) -> tuple[float, float]:
+    """Shares of the two changes that leave least of the last correction."""
+    damping = _TINY + _DAMPING * (one + other) / (2.0 if other > 0.0 else 1.0)
+    one, other = one + damping, other + damping
+    determinant = one * other - both * both
+    share_1, share_2 = (left_1 * other - left_2 * both) / determinant, (left_2 * one - left_1 * both) / determinant
+    return (
+        np.float32(min(max(share_1, -_LARGEST_SHARE), _LARGEST_SHARE)),
+        np.float32(min(max(share_2, -_LARGEST_SHARE), _LARGEST_SHARE)),
+    )

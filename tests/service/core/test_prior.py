@@ -25,15 +25,15 @@ def test_a_column_is_compressed_by_f_l_over_e_a() -> None:
     """δ = F h/(E A) (Hooke), plus what the bed under the sole gives way: F/(κ A) with κ = 300 E/L."""
     prior = ElasticPrior(column(), 0.0)
     load = 1e-4
-    force = np.zeros((3, 1, len(prior.grid.nodes)), np.float32)
+    force = np.zeros((1, 3, len(prior.grid.nodes)), np.float32)
     top = prior.grid.nodes[:, 2] == prior.grid.shape[2]
     # the top face's bilinear nodes share a uniform traction by their area
     share = np.prod([np.where((prior.grid.nodes[:, a] % prior.grid.shape[a]) == 0, 1, 2) for a in (0, 1)], axis=0)
-    force[2, 0, top] = -load * (share[top] / share[top].sum())
+    force[0, 2, top] = -load * (share[top] / share[top].sum())
     u = prior.solver.solve(force, 0)
     expected = load * 0.75 / 0.0625 + load / (FLOOR_STIFFNESS * 0.0625)
     # float32 pivots
-    np.testing.assert_allclose(u[2, 0, top], -expected, rtol=1e-3)
+    np.testing.assert_allclose(u[0, 2, top], -expected, rtol=1e-3)
 
 
 def test_a_slender_column_bends_by_the_formula_of_timoshenko() -> None:
@@ -89,7 +89,7 @@ def test_corrections_bring_the_forces_into_balance_where_the_column_bends_far() 
     for steps in (0, 8):
         u = prior.solver.solve(force, steps)
         left[steps] = float(np.abs(prior.solver.correction(u, force)).max())
-    assert np.abs(u[0]).max() > 0.3
+    assert np.abs(u[:, 0]).max() > 0.3
     assert left[8] < 0.04 * np.abs(u).max()
     assert left[8] < 0.04 * left[0]
 
@@ -205,8 +205,8 @@ def test_quadrature_weights_hold_the_volume_of_the_body() -> None:
 
 
 def test_it_is_fast_enough_to_serve() -> None:
-    """Measured 15 to 45 ms for set-up and first load, the more the fuller the box; the bound is for the worst test
-    machine, whose BLAS may spin on both cores meanwhile and have that counted."""
+    """Measured 5 to 10 ms for set-up and first load, the more the fuller the box; the bound is for the worst test
+    machine, with everything else at work on it."""
     rest, load = column(24), push((0.3125, 0.5, 0.6), (1.0, 0.0, 0.0), 1e-3)
 
     def once() -> float:
@@ -214,4 +214,4 @@ def test_it_is_fast_enough_to_serve() -> None:
         ElasticPrior(rest, 0.3).displacements([load])
         return time.process_time() - start
 
-    assert min(once() for _ in range(5)) < 0.25
+    assert min(once() for _ in range(5)) < 0.1

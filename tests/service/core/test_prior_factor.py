@@ -1,11 +1,10 @@
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
-from service.core.prior_assembly import RestFactor
+from service.core.prior_assembly import rest_factor, solve_at_rest
+from service.core.prior_cells import Cells
 from service.core.prior_element import cell_stiffness, elastic_moduli, floor_stiffness
-from service.core.prior_factor import BlockTridiagonal, invert_spd
+from service.core.prior_factor import PANEL, factorised, substitute
 from service.core.prior_grid import POINTS_27, CellGrid, shape_functions
 
 
@@ -27,43 +26,71 @@ def dense(grid: CellGrid, stiffness: np.ndarray, floor: np.ndarray) -> np.ndarra
     return matrix
 
 
-@pytest.mark.parametrize("n", [1, 5, 36, 37, 100, 171])
-def test_the_inverse_by_halves_is_the_inverse(n: int) -> None:
-    factor = np.random.default_rng(n).normal(size=(n, n))
-    matrix = (factor @ factor.T + n * np.eye(n)).astype(np.float32)
-    np.testing.assert_allclose(invert_spd(matrix) @ matrix, np.eye(n), atol=2e-5)
+def panels(matrix: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    upper = np.zeros((len(ends), PANEL, int((ends - PANEL * np.arange(len(ends))).max())), np.float32)
+    for k, end in enumerate(ends):
+        upper[k, :, : end - PANEL * k] = matrix[PANEL * k : PANEL * (k + 1), PANEL * k : end]
+    return upper
+
+
+def banded() -> tuple[np.ndarray, np.ndarray]:
+    """A matrix whose band widens and narrows, and its ends."""
+    ends = np.array([16, 40, 40, 48, 48, 48])
+    rng = np.random.default_rng(0)
+    matrix = 20.0 * np.eye(48)
+    for row in range(48):
+        for column in range(row + 1, ends[row // PANEL]):
+            matrix[row, column] = matrix[column, row] = rng.normal()
+    return matrix, ends
+
+
+def test_solutions_with_the_factor_are_those_of_the_dense_matrix() -> None:
+    matrix, ends = banded()
+    right = np.random.default_rng(1).normal(size=(3, 48)).astype(np.float32)
+    solution = right.copy()
+    substitute(factorised(panels(matrix, ends), ends), solution)
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right.T).T, atol=1e-6)
+
+
+def test_the_factor_is_choleskys_by_rows_and_by_columns() -> None:
+    matrix, ends = banded()
+    factor = factorised(panels(matrix, ends), ends)
+    expected = np.linalg.cholesky(matrix).T
+    width = factor.upper.shape[2]
+    for k, end in enumerate(ends):
+        first, begin = PANEL * k, factor.begins[k]
+        rows = np.triu(factor.upper[k][:, : end - first])
+        np.testing.assert_allclose(rows, expected[first : first + PANEL, first:end], atol=1e-6)
+        columns = factor.lower[k][:, width - (first - begin) :]
+        np.testing.assert_allclose(columns, expected[begin:first, first : first + PANEL].T, atol=1e-6)
+        assert not expected[:begin, first : first + PANEL].any()
 
 
 def test_a_matrix_that_is_not_positive_definite_is_refused() -> None:
+    matrix, ends = banded()
+    matrix[30, 30] = -1.0
     with pytest.raises(np.linalg.LinAlgError):
-        invert_spd(-np.eye(4, dtype=np.float32))
+        factorised(panels(matrix, ends), ends)
 
 
-def test_block_tridiagonal_solutions_are_those_of_the_dense_matrix() -> None:
-    rng = np.random.default_rng(0)
-    sizes = [7, 40, 3, 12]
-    ends = np.cumsum(sizes)
-    below = [rng.normal(size=(b, a)).astype(np.float32) for a, b in pairwise(sizes)]
-    matrix = 40.0 * np.eye(ends[-1], dtype=np.float32)
-    for block, row, middle in zip(below, ends[1:], ends[:-1], strict=True):
-        rows, columns = slice(middle, row), slice(middle - block.shape[1], middle)
-        matrix[rows, columns], matrix[columns, rows] = block, block.T
-    diagonal = [matrix[end - size : end, end - size : end] for size, end in zip(sizes, ends, strict=True)]
-    right = rng.normal(size=(ends[-1], 2)).astype(np.float32)
-    solution = BlockTridiagonal(diagonal, below).solve(right)
-    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-3, atol=1e-5)
-
-
-@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 0, 2)])
+@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 0, 2), (2, 1, 0)])
 def test_the_factor_of_a_body_solves_its_dense_equations(axes: tuple[int, int, int]) -> None:
     grid = CellGrid.fit(np.ascontiguousarray(some_body().transpose(axes)), 80)
-    stiffness, floor = cell_stiffness(grid, 0.4), floor_stiffness(grid)
-    force = np.random.default_rng(1).normal(size=(3, len(grid.nodes), 2)).astype(np.float32)
-    solution = RestFactor(grid, stiffness, floor).solve(force)
-    right = force.transpose(1, 0, 2).reshape(-1, 2)
-    expected = np.linalg.solve(dense(grid, stiffness.astype(float), floor), right)
-    expected = expected.reshape(-1, 3, 2).transpose(1, 0, 2)
+    cells = Cells.of(grid, 0.4)
+    force = np.random.default_rng(1).normal(size=(2, 3, len(grid.nodes))).astype(np.float32)
+    solution = np.empty_like(force)
+    solve_at_rest(rest_factor(cells), force, solution)
+    right = force.transpose(2, 1, 0).reshape(-1, 2)
+    stiffness = cells.stiffness[:, :, : cells.count].transpose(2, 0, 1)
+    expected = np.linalg.solve(dense(grid, stiffness.astype(float), floor_stiffness(grid)), right)
+    expected = expected.reshape(-1, 3, 2).transpose(2, 1, 0)
     np.testing.assert_allclose(solution, expected, atol=3e-3 * np.abs(expected).max())
+
+
+def test_a_body_whose_stiffness_cannot_be_factorised_is_refused() -> None:
+    cells = Cells.of(CellGrid.fit(some_body(), 80), 0.4)
+    with pytest.raises(np.linalg.LinAlgError, match="positive definite"):
+        rest_factor(cells._replace(stiffness=-cells.stiffness))
 
 
 def test_a_rigid_motion_costs_nothing_and_a_constant_strain_its_energy() -> None:
@@ -71,15 +98,13 @@ def test_a_rigid_motion_costs_nothing_and_a_constant_strain_its_energy() -> None
     rest = np.zeros((64, 64, 64), bool)
     rest[8:40, 16:48, :48] = True
     grid = CellGrid.fit(rest, 60)
-    stiffness = cell_stiffness(grid, 0.3)
+    stiffness = cell_stiffness(grid, 0.3, len(grid.cells)).transpose(2, 0, 1)
     positions = grid.low + grid.nodes * grid.edges
     for gradient in (np.array([[0, -1, 2], [1, 0, -3], [-2, 3, 0.0]]), np.arange(9.0).reshape(3, 3) / 9):
         u = (positions @ gradient.T + 0.5)[grid.cell_nodes].reshape(-1, 24)
         energy = 0.5 * np.einsum("ma,mab,mb->", u, stiffness, u)
         flat = gradient.ravel()
-        assert energy == pytest.approx(
-            0.5 * flat @ elastic_moduli(0.3) @ flat * 0.5 * 0.5 * 0.75, rel=2e-3, abs=2e-4
-        )
+        assert energy == pytest.approx(0.5 * flat @ elastic_moduli(0.3) @ flat * 0.5 * 0.5 * 0.75, rel=2e-3, abs=2e-4)
 
 
 def test_one_full_cell_in_pure_bending_has_the_energy_of_a_beam() -> None:
@@ -87,7 +112,7 @@ def test_one_full_cell_in_pure_bending_has_the_energy_of_a_beam() -> None:
     rest = np.zeros((64, 64, 64), bool)
     rest[:32, :32, :32] = True
     grid = CellGrid.fit(rest, 1)
-    stiffness = cell_stiffness(grid, 0.3)[0]
+    stiffness = cell_stiffness(grid, 0.3, 1)[:, :, 0]
     place = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)]) * 0.5 - 0.25
     u = np.zeros((8, 3))
     u[:, 0] = place[:, 0] * place[:, 2]

@@ -16,7 +16,7 @@ def table() -> np.ndarray:
 def test_a_linear_field_comes_out_exactly_in_the_cells_and_constant_beyond_the_box() -> None:
     grid = CellGrid.fit(table(), 125)
     slopes = np.array([[0.1, 0.0, -0.2], [0.0, 0.3, 0.0], [0.05, 0.0, 0.1]])
-    nodal = np.stack([slopes @ grid.node_positions.T, 2 * slopes @ grid.node_positions.T], axis=1).astype(np.float32)
+    nodal = np.stack([slopes @ grid.node_positions.T, 2 * slopes @ grid.node_positions.T]).astype(np.float32)
     lattice = forward_lattice(grid, nodal)
     steps = (np.arange(16) + 0.5) / 16
     centres = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"))
@@ -29,7 +29,7 @@ def test_a_linear_field_comes_out_exactly_in_the_cells_and_constant_beyond_the_b
 
 def test_places_without_a_node_take_their_neighbours_values() -> None:
     grid = CellGrid.fit(table(), 125)
-    lattice = forward_lattice(grid, np.ones((3, 1, len(grid.nodes)), np.float32))
+    lattice = forward_lattice(grid, np.ones((1, 3, len(grid.nodes)), np.float32))
     np.testing.assert_allclose(lattice, 1.0, atol=1e-6)
 
 

@@ -1,0 +1,154 @@
+"""The cells of a coarse solve as compiled loops see them, and what these do with the cells of one load.
+
+Components come first and cells last: the inner loops are as long as there are cells, and treat eight at once.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int
+
+from service.core.compiled import compiled
+from service.core.prior_element import cell_stiffness, floor_stiffness
+from service.core.prior_grid import CORNERS, CellGrid
+from service.core.prior_rotation import Matrices
+
+_BLOCK = 8
+"""The cells are filled up to a multiple of this with such as have no stiffness; there is one at least."""
+
+_LOWER = np.flatnonzero(CORNERS[:, 2] == 0)
+
+Nodal = Float32[np.ndarray, "3 n"]
+Corners = Float32[np.ndarray, "8 3 k"]
+
+
+class Cells(NamedTuple):
+    """The cells of a body, k with those that only fill up.
+
+    Attributes:
+        count: Cells of the body; those after them have no stiffness.
+        nodes: Node of each corner.
+        stiffness: Of each cell, local degree of freedom 3·corner + axis.
+        rest: Place of each corner from the centre of its cell.
+        around: The cell that has this node as its corner a; one without stiffness where there is none.
+        share: Its share of the material around the node.
+        sole: Nodes under the floor cells.
+        bed: Stiffness of the bed between them, the same along each axis.
+    """
+
+    count: int
+    nodes: Int[np.ndarray, "8 k"]
+    stiffness: Float32[np.ndarray, "24 24 k"]
+    rest: Float32[np.ndarray, "8 3"]
+    around: Int[np.ndarray, "8 n"]
+    share: Float32[np.ndarray, "8 n"]
+    sole: Int[np.ndarray, "4 b"]
+    bed: Float32[np.ndarray, "4 4 b"]
+
+    @classmethod
+    def of(cls, grid: CellGrid, poisson_ratio: float) -> Cells:
+        """The cells of a grid.
+
+        Args:
+            grid: The cells.
+            poisson_ratio: ν in [0, 0.49].
+        """
+        m, n = len(grid.cells), len(grid.nodes)
+        k = m // _BLOCK * _BLOCK + _BLOCK
+        nodes = np.zeros((8, k), np.int64)
+        nodes[:, :m] = grid.cell_nodes.T
+        around = np.full((8, n), m)
+        around[np.arange(8)[:, None], nodes[:, :m]] = np.arange(m)
+        fill = np.zeros(k, np.float32)
+        fill[:m] = np.maximum(grid.fill, 1e-3)
+        share = fill[around]
+        bed = floor_stiffness(grid)[:, _LOWER][:, :, _LOWER].transpose(1, 2, 0)
+        return cls(
+            count=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
+            rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share / share.sum(axis=0),
+            sole=np.ascontiguousarray(nodes[_LOWER][:, grid.floor_cells]),
+            bed=np.ascontiguousarray(bed, np.float32),
+        )  # fmt: skip
+
+
+@compiled
+def at_corners(cells: Cells, values: Nodal, result: Corners) -> None:
+    """Values of the nodes at the corners of the cells."""
+    for a in range(len(result)):
+        node = cells.nodes[a]
+        for i in range(len(values)):
+            of, row = values[i], result[a, i]
+            for c in range(len(row)):
+                row[c] = of[node[c]]
+
+
+@compiled
+def gradients(cells: Cells, corners: Corners, result: Matrices) -> None:
+    """∂/∂X of a field at the centre of every cell; also its mean over the cell."""
+    for j in range(result.shape[1]):
+        by = np.float32(0.125) / cells.rest[7, j]
+        for i in range(len(result)):
+            row = result[i, j]
+            # corner 4·dx + 2·dy + dz: those before and behind along axis j
+            step = 4 >> j
+            first = 2 if j == 0 else 4
+            last = 1 if j < 2 else 2
+            low_0, high_0 = corners[0, i], corners[step, i]
+            low_1, high_1 = corners[last, i], corners[last + step, i]
+            low_2, high_2 = corners[first, i], corners[first + step, i]
+            low_3, high_3 = corners[first + last, i], corners[first + last + step, i]
+            for c in range(len(row)):
+                high = (high_0[c] + high_1[c]) + (high_2[c] + high_3[c])
+                row[c] = by * (high - ((low_0[c] + low_1[c]) + (low_2[c] + low_3[c])))
+
+
+@compiled
+def cell_forces(cells: Cells, displacement: Corners, result: Corners) -> None:
+    """Stiffness times displacement."""
+    u, forces = displacement.reshape(24, -1), result.reshape(24, -1)
+    for a in range(len(forces)):
+        force = forces[a]
+        force[:] = 0.0
+        for b in range(0, len(u), 4):
+            row_0, row_1 = cells.stiffness[a, b], cells.stiffness[a, b + 1]
+            row_2, row_3 = cells.stiffness[a, b + 2], cells.stiffness[a, b + 3]
+            u_0, u_1, u_2, u_3 = u[b], u[b + 1], u[b + 2], u[b + 3]
+            for c in range(len(force)):
+                force[c] += row_0[c] * u_0[c] + row_1[c] * u_1[c] + row_2[c] * u_2[c] + row_3[c] * u_3[c]
+
+
+@compiled
+def at_nodes(cells: Cells, corners: Corners, result: Nodal) -> None:
+    """Sums over the cells around each node."""
+    for i in range(len(result)):
+        row = result[i]
+        row[:] = 0.0
+        for a in range(len(corners)):
+            of, cell = corners[a, i], cells.around[a]
+            for v in range(len(row)):
+                row[v] += of[cell[v]]
+
+
+@compiled
+def mean_at_nodes(cells: Cells, matrices: Matrices, result: Matrices) -> None:
+    """Means over the cells around each node, by the material they hold."""
+    for i in range(len(result)):
+        for j in range(result.shape[1]):
+            of, row = matrices[i, j], result[i, j]
+            row[:] = 0.0
+            for a in range(len(cells.around)):
+                cell, share = cells.around[a], cells.share[a]
+                for v in range(len(row)):
+                    row[v] += share[v] * of[cell[v]]
+
+
+@compiled
+def add_bed(cells: Cells, u: Nodal, force: Nodal) -> None:
+    """Forces of the bed under the sole."""
+    for i in range(len(u)):
+        for a in range(len(cells.sole)):
+            for b in range(len(cells.sole)):
+                for f in range(cells.sole.shape[1]):
+                    force[i, cells.sole[a, f]] += cells.bed[a, b, f] * u[i, cells.sole[b, f]]
