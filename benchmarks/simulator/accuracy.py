@@ -22,22 +22,17 @@ from typing import Any
 import numpy as np
 
 from benchmarks.simulator.refinement import plot_refinement
-from service.core.condition import POISSON_RATIO_MAX
-from training.data.body_cube import place_in_body_grid
-from training.data.everyday import EverydayConfig, draw_pushes
-from training.data.samples import LENGTHS_M
+from training.data.everyday import EverydayConfig, draw_body, draw_load
+from training.data.generate import Dropped
 from training.metrics import iou
 from training.simulation.body import Body, BodyError
 from training.simulation.enhanced import EnhancedHexahedron
-from training.simulation.families import OPEN_VESSELS, sample_shape
-from training.simulation.force_search import force_for_identity_iou
-from training.simulation.gaps import MAX_NARROW_GAPS, narrow_gaps
+from training.simulation.gaps import narrow_gaps
 from training.simulation.loads import Load, LoadError
 from training.simulation.mean_dilatation import MeanDilatationHexahedron
 from training.simulation.newton import solve_neo_hookean
-from training.simulation.overlap import RestOverlap
 from training.simulation.rasterise import Rasterised, Rasteriser
-from training.simulation.shapes import Shape, min_thickness
+from training.simulation.shapes import Shape
 from training.simulation.solver import LinearSolver
 
 RESULTS = Path(__file__).parent / "results"
@@ -71,34 +66,17 @@ def foot_radius(body: Body) -> float:
 
 
 def draw_scene(config: EverydayConfig, index: int) -> Scene | str:
-    """The first push of a body that `everyday` draws, in the order of `draw_group`, or why it has none."""
-    rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
-    family = config.families[rng.integers(len(config.families))]
-    cells = config.vessel_cells if family in OPEN_VESSELS else config.cells
+    """The first push of a body that `everyday` draws, or why it has none."""
     try:
-        shape = place_in_body_grid(sample_shape(family, rng, cells=cells)).shape
-    except RuntimeError:
-        return "no_shape"
-    thickness = float(min_thickness(shape))
-    if thickness < config.thickness / cells:
-        return "thin"
-    rng.uniform(*np.log(config.young_modulus_pa))
-    poisson_ratio = float(rng.uniform(0.0, POISSON_RATIO_MAX))
-    rng.uniform(*np.log(LENGTHS_M))
-    try:
-        body = Body.from_distance(shape.distance, cells)
-        overlap = RestOverlap.of(body)
-        push = draw_pushes(config, body, Rasteriser(body).rest, rng)[0]
-        linear = LinearSolver(body, poisson_ratio).solve([push.unit])[0]
-    except (BodyError, LoadError) as error:
+        drawn = draw_body(config, index)
+        body, nu = drawn.body, drawn.material.poisson_ratio
+        chosen = draw_load(config, drawn, LinearSolver(body, nu), drawn.pushes[0])
+    except (Dropped, LoadError) as error:
         return error.reason
-    load = force_for_identity_iou(overlap, push.unit, linear, float(rng.uniform(*config.identity_iou)))
-    if load is None:
+    if chosen is None:
         return "no_force"
-    gaps = narrow_gaps(body)
-    if gaps > MAX_NARROW_GAPS:
-        return "narrow_gap"
-    return Scene(index, family, shape, cells, poisson_ratio, load, gaps, thickness, foot_radius(body))
+    gaps, foot = narrow_gaps(body), foot_radius(body)
+    return Scene(index, drawn.name, drawn.shape, body.cells, nu, chosen.load, gaps, drawn.thickness, foot)
 
 
 @dataclass(frozen=True)

@@ -57,6 +57,8 @@ def markdown(result: dict[str, Any]) -> str:
     lines += [
         "",
         "Nonlinear, a sample: " + ", ".join(f"{k} {ms:.1f} ms" for k, ms in nonlinear["a_sample_ms"].items()) + ".",
+        f"Of `newton` {nonlinear['of_newton_in_loads_that_fail']:.0%} goes into loads that do not reach their full "
+        "force; their converged steps count as samples.",
         "",
         "## Beside scikit-fem",
         "",
