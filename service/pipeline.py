@@ -18,15 +18,15 @@ from service.core.condition import POISSON_RATIO_MAX, Condition, encode_conditio
 from service.core.contact import snap_contact, surface_centres
 from service.core.depth import decode_depth, decode_mask
 from service.core.depth_crop import DepthCrop, crop_around
+from service.core.displacement import Field
 from service.core.errors import InvalidRequest
 from service.core.grids import Grid
 from service.core.limits import DEFAULT_LIMITS, FrameLimits
-from service.core.lookup import smoothed
+from service.core.lookup import motion
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
     DeformResult,
-    Displacement,
     EarlierReconstruction,
     KnownShape,
     Load,
@@ -35,6 +35,7 @@ from service.core.messages import (
 )
 from service.core.segmentation import segment
 from service.core.shapes import decode_shape, in_own_voxels
+from service.core.smoothing import smoothed
 from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
@@ -229,12 +230,12 @@ class Pipeline:
                 for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))
             ]
             conditions = [question.condition for question in questions if question.condition is not None]
-            answers: Iterator[tuple[Probability, Displacement]] = iter(())
+            answers: Iterator[tuple[Probability, Field]] = iter(())
             if conditions:
                 deformation = self._deformation(
                     body.occupancy, conditions, request.uncertainty_samples, smooth=body.smooth
                 )
-                answers = iter(zip(deformation.probability, deformation.displacement, strict=True))
+                answers = iter(zip(deformation.probability, deformation.field, strict=True))
             threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
             return tuple(
                 _unmoved(body, question)
@@ -302,26 +303,18 @@ def _unmoved(body: Body, question: Question) -> LoadResult:
     )
 
 
-def _moved(
-    body: Body, question: Question, probability: Probability, displacement: Displacement, threshold: float
-) -> LoadResult:
+def _moved(body: Body, question: Question, probability: Probability, field: Field, threshold: float) -> LoadResult:
     """The network's answer in metres."""
     deformed = probability > threshold
-    # A body fills a tenth of its grid: its voxels are gathered rather than all of them masked.
-    inside = np.flatnonzero(deformed)
-    moved_m = displacement.reshape(3, -1).take(inside, axis=1) * np.float32(body.grid.edge_m)
-    lengths_m = np.sqrt(np.square(moved_m).sum(axis=0))
-    displacement_m = np.zeros_like(displacement)
-    for component, moved in zip(displacement_m.reshape(3, -1), moved_m, strict=True):
-        component[inside] = moved
+    moved = motion(field, body.occupancy, deformed, body.grid.edge_m)
     sides = (deformed[[0, -1]], deformed[:, [0, -1]], deformed[:, :, -1])
     flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())
     return LoadResult(
         deformed=deformed,
         probability=probability,
-        displacement_m=displacement_m,
-        max_displacement_m=float(lengths_m.max(initial=0.0)),
-        mean_displacement_m=float(lengths_m.mean()) if lengths_m.size else 0.0,
+        displacement_m=moved.displacement_m,
+        max_displacement_m=moved.max_m,
+        mean_displacement_m=moved.mean_m,
         load_number=question.load_number,
         flags=flags,
     )

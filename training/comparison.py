@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 from torch import nn
 
-from service.core.displacement import at_voxels
 from service.core.lookup import warp
 from training.baselines import LinearFem, NearestNeighbours, mean_shape
 from training.data.batches import DeformationBatch, DeformationSet
@@ -190,7 +189,7 @@ def _coarse_solve(batch: DeformationBatch) -> Occupancies:
     """What the network starts from, uncorrected."""
     bodies = batch.rest[:, 0].numpy() > 0.5
     fields = batch.prior_backward.numpy()
-    return np.stack([warp(body, at_voxels(field, body)) for body, field in zip(bodies, fields, strict=True)])
+    return np.stack([warp(body, field) for body, field in zip(bodies, fields, strict=True)])
 
 
 def _linear_fem(cells: int) -> Answering:

@@ -10,7 +10,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from service.core import lookup
-from service.core.displacement import at_voxels, corrected
+from service.core.displacement import corrected
 from training.data.batches import DeformationBatch
 from training.losses import relative_displacement
 from training.networks.deformation import DeformationNetwork
@@ -47,7 +47,7 @@ def predict(network: DeformationNetwork | PhysNet, batch: DeformationBatch, nois
     prior = batch.prior_backward if network.config.prior else torch.zeros_like(batch.prior_backward)
     fields = [corrected(u, d) for u, d in zip(prior.numpy(), correction.contiguous().numpy(), strict=True)]
     bodies = batch.rest_of_loads[:, 0].numpy() > 0.5
-    probability = [lookup.warp(body, at_voxels(field, body)) for body, field in zip(bodies, fields, strict=True)]
+    probability = [lookup.warp(body, field) for body, field in zip(bodies, fields, strict=True)]
     return Answer(np.stack(probability), np.stack(fields), mean.numpy())
 
 

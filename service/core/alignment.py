@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64, Int64, UInt8
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
+from service.core.compiled import compiled
 from service.core.errors import EmptyObject
-from service.core.grids import Grid, centres_seen_from, filled_voxels, invert_rigid
-from service.core.lookup import stacked, trilinear
+from service.core.grids import Grid, invert_rigid
+from service.core.lookup import between
+
+Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
+Padded: TypeAlias = Float32[np.ndarray, " voxels=287496"]
+"""64³ voxels with one of zeros on every side, in C order."""
 
 HORIZONTAL_FILL = 0.70
 """Share of the body grid's edge that the body may fill in x and y: the rest is room to deform into."""
@@ -36,15 +43,11 @@ def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_fl
     Raises:
         EmptyObject: No voxel is occupied.
     """
-    centres = _occupied_centres(occupancy, grid)
-    grid_from_upright = np.eye(3)
-    horizontal = centres[:2]
-    if up is not None:
-        grid_from_upright = _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
-        horizontal = grid_from_upright[:, :2].T.astype(np.float32) @ centres
-    x = _principal_axis(horizontal - horizontal.mean(axis=1, keepdims=True))
-    upright_from_body = np.array([[x[0], -x[1], 0.0], [x[1], x[0], 0.0], [0.0, 0.0, 1.0]])
-    return _enclosing_grid(centres, grid, grid_from_upright @ upright_from_body, on_floor)
+    mean, spread = _moments(occupancy)
+    upright = np.eye(3) if up is None else _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
+    horizontal = upright[:, :2]
+    _, axes = np.linalg.eigh(horizontal.T @ spread @ horizontal)  # ascending variance, one axis a column
+    return _enclosing_grid(occupancy, grid, mean, horizontal @ axes[:, 1], upright[:, 2], on_floor)
 
 
 def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
@@ -56,51 +59,40 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
     Raises:
         EmptyObject: No voxel is occupied.
     """
-    centres = _occupied_centres(occupancy, grid)
-    centred = centres - centres.mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(centred @ centred.T)  # ascending variance, one axis a column
+    mean, spread = _moments(occupancy)
+    _, axes = np.linalg.eigh(spread)
     nearest = int(np.argmax(np.abs(axes[2])))
     z = axes[:, nearest] * np.sign(axes[2, nearest])
     x = axes[:, max(i for i in range(3) if i != nearest)]
-    x = x * _third_moment_sign(x @ centred)
-    rotation = np.stack([x, np.cross(z, x), z], axis=1).astype(np.float64)
-    return _enclosing_grid(centres, grid, rotation, on_floor=False)
+    return _enclosing_grid(occupancy, grid, mean, x, z, on_floor=False)
 
 
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
     """Trilinear lookup of one grid at the voxel centres of another; zero outside the source."""
     source_from_target = invert_rigid(source.camera_from_grid) @ target.camera_from_grid
-    rotation, pitch = source_from_target[:3, :3], target.pitch_m / source.pitch_m
-    origin = source_from_target[:3, 3] / source.pitch_m - 0.5
-    if rotation[2, 2] < PARALLEL:
-        return trilinear(probability, *centres_seen_from(rotation, pitch, origin))
-    # Both stand upright: the centres above each other stay above each other.
-    steps = (np.arange(GRID_SIZE) + 0.5) * pitch
-    x, y = (
-        ((rotation[axis, 0] * steps + origin[axis])[:, None] + rotation[axis, 1] * steps).astype(np.float32)
-        for axis in (0, 1)
-    )
-    return stacked(probability, x, y, steps + origin[2])
+    steps = source_from_target[:3, :3] * (target.pitch_m / source.pitch_m)
+    origin = source_from_target[:3, 3] / source.pitch_m - 0.5 + steps.sum(axis=1) / 2  # where the first centre lies
+    result = np.zeros((GRID_SIZE,) * 3, np.float32)
+    if source_from_target[2, 2] < PARALLEL:
+        padded = np.zeros((GRID_SIZE + 2,) * 3, np.float32)
+        padded[1:-1, 1:-1, 1:-1] = probability
+        _resample(padded.ravel(), steps, origin + 1.0, result)
+    else:
+        _resample_upright(np.ascontiguousarray(probability), steps, origin, result)
+    return result
 
 
-def _occupied_centres(occupancy: Occupancy, grid: Grid) -> Float32[np.ndarray, "axis=3 n"]:
-    centres = filled_voxels(occupancy).astype(np.float32)
-    if centres.shape[1] == 0:
+def _moments(occupancy: Occupancy) -> tuple[Vector3, Matrix3]:
+    """Mean of the filled voxels' indices, and the matrix of their second moments about it times a number.
+
+    Raises:
+        EmptyObject: No voxel is filled.
+    """
+    count, first, second = _sums(np.ascontiguousarray(occupancy).view(np.uint8))
+    if count == 0:
         raise EmptyObject("The reconstruction is empty: no voxel of the object is left to align.", field="depth")
-    centres += np.float32(0.5)
-    centres *= np.float32(grid.pitch_m)
-    return centres
-
-
-def _principal_axis(horizontal: Float32[np.ndarray, "axis=2 n"]) -> Float32[np.ndarray, "2"]:
-    _, axes = np.linalg.eigh(horizontal @ horizontal.T)
-    axis = axes[:, 1]
-    return np.asarray(axis * _third_moment_sign(axis @ horizontal), np.float32)
-
-
-def _third_moment_sign(coordinate: Float32[np.ndarray, "n"]) -> float:
-    exact = coordinate.astype(np.float64)
-    return 1.0 if float((exact * exact) @ exact) >= 0 else -1.0
+    # In integers: rounding must not choose the axes of a body that is as wide as it is deep.
+    return first / count, (count * second - np.outer(first, first)).astype(np.float64)
 
 
 def _rotation_with_z(z: Vector3) -> Matrix3:
@@ -112,13 +104,16 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
     return np.stack([x, np.cross(z, x), z], axis=1)
 
 
-def _enclosing_grid(
-    centres: Float32[np.ndarray, "axis=3 n"], grid: Grid, source_from_body: Matrix3, on_floor: bool
-) -> Grid:
-    """Cube around the occupied voxels with the given axes, its bottom on the source's floor or the lowest voxel."""
-    local = source_from_body.T.astype(np.float32) @ centres
-    half = grid.pitch_m / 2
-    low, high = local.min(axis=1).astype(np.float64) - half, local.max(axis=1).astype(np.float64) + half
+def _enclosing_grid(occupancy: Occupancy, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
+    """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
+    source_from_body = np.stack([x, np.cross(z, x), z], axis=1)
+    low, high, third_moment = _extent(
+        np.ascontiguousarray(occupancy).view(np.uint8), source_from_body.T.copy(), float(x @ (mean + 0.5))
+    )
+    if third_moment < 0.0:
+        source_from_body[:, :2] *= -1.0
+        low[:2], high[:2] = -high[:2], -low[:2]
+    low, high = (low - 0.5) * grid.pitch_m, (high + 0.5) * grid.pitch_m
     if on_floor:
         low[2] = 0.0
     extent = high - low
@@ -128,3 +123,107 @@ def _enclosing_grid(
     source_from_grid[:3, :3] = source_from_body
     source_from_grid[:3, 3] = source_from_body @ corner
     return Grid(pitch_m=edge_m / GRID_SIZE, camera_from_grid=grid.camera_from_grid @ source_from_grid)
+
+
+_ZERO, _ONE, _NEXT = np.float32(0.0), np.float32(1.0), np.uintp(1)
+
+
+@compiled
+def _sums(occupancy: Bytes) -> tuple[int, Int64[np.ndarray, "3"], Int64[np.ndarray, "3 3"]]:
+    """Number of the filled voxels, sum of their indices i, and of the products i iᵀ."""
+    count, first, second = 0, np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
+    for x in range(GRID_SIZE):
+        for y in range(GRID_SIZE):
+            n, along, squared = 0, 0, 0
+            for z in range(GRID_SIZE):
+                n += occupancy[x, y, z]
+                along += occupancy[x, y, z] * z
+                squared += occupancy[x, y, z] * (z * z)
+            count += n
+            first[0] += n * x
+            first[1] += n * y
+            first[2] += along
+            second[0, 0] += n * x * x
+            second[0, 1] += n * x * y
+            second[1, 1] += n * y * y
+            second[0, 2] += along * x
+            second[1, 2] += along * y
+            second[2, 2] += squared
+    second[1, 0], second[2, 0], second[2, 1] = second[0, 1], second[0, 2], second[1, 2]
+    return count, first, second
+
+
+@compiled
+def _extent(
+    occupancy: Bytes, axes: Matrix3, middle: float
+) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"], float]:
+    """Lowest and highest centre along each axis, and the third moment about the middle along the first; in voxels."""
+    low, high, third_moment = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+    for x in range(GRID_SIZE):
+        for y in range(GRID_SIZE):
+            first, last = GRID_SIZE, -1
+            start = axes[0, 0] * (x + 0.5) + axes[0, 1] * (y + 0.5) - middle
+            for z in range(GRID_SIZE):
+                if occupancy[x, y, z]:
+                    first, last = min(first, z), z
+                    off = start + axes[0, 2] * (z + 0.5)
+                    third_moment += off * off * off
+            if last < 0:
+                continue
+            for axis in range(3):
+                start = axes[axis, 0] * (x + 0.5) + axes[axis, 1] * (y + 0.5)
+                bottom, top = start + axes[axis, 2] * (first + 0.5), start + axes[axis, 2] * (last + 0.5)
+                low[axis], high[axis] = min(low[axis], bottom, top), max(high[axis], bottom, top)
+    return low, high, third_moment
+
+
+@compiled
+def _resample(padded: Padded, steps: Matrix3, origin: Vector3, result: Probability) -> None:
+    """Values at origin + steps @ (i, j, k), in voxels of the padded source."""
+    end, side, size = np.float32(GRID_SIZE + 1), GRID_SIZE + 2, np.uintp(GRID_SIZE + 2)
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            x = np.float32(origin[0] + steps[0, 0] * i + steps[0, 1] * j)
+            y = np.float32(origin[1] + steps[1, 0] * i + steps[1, 1] * j)
+            z = np.float32(origin[2] + steps[2, 0] * i + steps[2, 1] * j)
+            for k in range(GRID_SIZE):
+                a = x + np.float32(steps[0, 2]) * np.float32(k)
+                b = y + np.float32(steps[1, 2]) * np.float32(k)
+                c = z + np.float32(steps[2, 2]) * np.float32(k)
+                if _ZERO < a < end and _ZERO < b < end and _ZERO < c < end:
+                    p, q, r = np.uintp(a), np.uintp(b), np.uintp(c)
+                    a, b, c = a - np.floor(a), b - np.floor(b), c - np.floor(c)
+                    result[i, j, k] = between(padded, (p * size + q) * size + r, side, side, a, b, c)
+
+
+@compiled
+def _resample_upright(source: Probability, steps: Matrix3, origin: Vector3, result: Probability) -> None:
+    """The same where centres above each other stay above each other: whole columns between columns of the source."""
+    column = np.zeros(GRID_SIZE + 2, np.float32)  # a zero below the lowest voxel, and one above the highest
+    below, weight = np.empty(GRID_SIZE, np.uintp), np.empty(GRID_SIZE, np.float32)
+    first, end = GRID_SIZE, 0
+    for k in range(GRID_SIZE):
+        z = origin[2] + steps[2, 2] * k + 1.0
+        if 0.0 < z < GRID_SIZE + 1:
+            first, end = min(first, k), k + 1
+            below[k], weight[k] = np.uintp(z), np.float32(z - np.floor(z))
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            x = origin[0] + steps[0, 0] * i + steps[0, 1] * j
+            y = origin[1] + steps[1, 0] * i + steps[1, 1] * j
+            if not (-1.0 < x < GRID_SIZE and -1.0 < y < GRID_SIZE):
+                continue
+            p, q = int(np.floor(x)), int(np.floor(y))
+            a, b = np.float32(x - p), np.float32(y - q)
+            # beyond the outermost columns there is nothing
+            before, behind = _ONE - a if p >= 0 else _ZERO, a if p + 1 < GRID_SIZE else _ZERO
+            left, right = _ONE - b if q >= 0 else _ZERO, b if q + 1 < GRID_SIZE else _ZERO
+            p_next, q_next = min(p + 1, GRID_SIZE - 1), min(q + 1, GRID_SIZE - 1)
+            p, q = max(p, 0), max(q, 0)
+            for k in range(GRID_SIZE):
+                column[k + 1] = before * (left * source[p, q, k] + right * source[p, q_next, k]) + behind * (
+                    left * source[p_next, q, k] + right * source[p_next, q_next, k]
+                )
+            for k in range(first, end):
+                lower = column[below[k]]
+                result[i, j, k] = lower + weight[k] * (column[below[k] + _NEXT] - lower)

@@ -1,23 +1,25 @@
-"""Displacement fields on their way from the coarse solve and the network to the voxels of an answer."""
+"""The displacement field of a load: what the coarse solve says, put right by what the network says."""
 
 from __future__ import annotations
 
 import math
 from typing import TypeAlias
 
-import cv2
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, UInt8
 
 from service.core.arrays import GRID_SIZE, Occupancy
-from service.core.prior_field import FIELD_SIZE, interpolation
+from service.core.compiled import compiled
+from service.core.prior_field import FIELD_SIZE
 
-Field = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
-Voxels = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
-Lattice = Float32[np.ndarray, "axis=3 s s s"]
-Places = Float32[np.ndarray, "axis=3 a b c"]
+Field: TypeAlias = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
+"""u in edges of the grid on a lattice over the cube, node i at (i + ½)/32."""
+
+Lattice: TypeAlias = Float32[np.ndarray, "axis=3 s s s"]
 Corner: TypeAlias = tuple[float, float, float]
 Box: TypeAlias = tuple[Corner, Corner]
+Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
+Voxel: TypeAlias = tuple[int, int, int]
 
 
 def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> Field:
@@ -25,7 +27,7 @@ def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> 
 
     With ψ the map y ↦ y − u_b(y) back to rest and δ(x) the correction of the material at x, the material now at y was
     before at y − δ, so that u(y) = δ + u_b(y − δ) with δ taken at ψ(y). Nothing moves farther than it is high: what is
-    on the floor is held there.
+    on the floor is held there. Both fields are trilinear between their nodes; the last value holds outside.
 
     Args:
         backward: u_b in edges of the grid.
@@ -33,68 +35,119 @@ def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> 
         body: Box of the body at rest, lowest and highest corner in edges of the grid. Where none of it can get to,
             the field is left as it was. All of it is corrected if None.
     """
-    part = (slice(None), *(_reached(body, backward, correction) if body else (slice(None),) * 3))
-    nodes = _CENTRES[part]
-    moved = look_up(correction, nodes - backward[part])
-    field = moved + look_up(backward, nodes - moved)
-    length = np.sqrt(np.square(field).sum(axis=0))
-    field *= np.minimum(1.0, nodes[2] / np.maximum(length, np.float32(1e-12)))
+    first, end = _reached(body, backward, correction) if body else ((0, 0, 0), (FIELD_SIZE,) * 3)
     result = backward.copy()
-    result[part] = field
+    _correct(np.ascontiguousarray(backward), np.ascontiguousarray(correction), first, end, result)
     return result
 
 
 def body_box(rest: Occupancy) -> Box:
-    """Lowest and highest corner of a body, in edges of the grid."""
-    filled = [np.flatnonzero(rest.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1))]
-    low, high = zip(*((int(axis[0]) / GRID_SIZE, (int(axis[-1]) + 1) / GRID_SIZE) for axis in filled), strict=True)
-    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+    """Lowest and highest corner of a body, in edges of the grid.
+
+    Raises:
+        ValueError: It is empty.
+    """
+    found = filled_range(rest)
+    if found is None:
+        raise ValueError("an empty body has no box: the occupancy holds no voxel")
+    (x0, y0, z0), (x1, y1, z1) = found
+    return (x0 / GRID_SIZE, y0 / GRID_SIZE, z0 / GRID_SIZE), (x1 / GRID_SIZE, y1 / GRID_SIZE, z1 / GRID_SIZE)
 
 
-def _reached(body: Box, backward: Field, correction: Lattice) -> tuple[slice, slice, slice]:
+def filled_range(occupancy: Occupancy) -> tuple[Voxel, Voxel] | None:
+    """First voxel along each axis and the one after the last; None where there is none."""
+    first, end = _filled_range(np.ascontiguousarray(occupancy).view(np.uint8))
+    return (first, end) if end[0] else None
+
+
+def _reached(body: Box, backward: Field, correction: Lattice) -> tuple[Voxel, Voxel]:
     """The nodes around all places that some displacement there is could carry the body to."""
-    slices = []
+    ends = []
     for axis in range(3):
         low = body[0][axis] + float(backward[axis].min()) + float(correction[axis].min())
         high = body[1][axis] + float(backward[axis].max()) + float(correction[axis].max())
         first, end = math.floor(low * FIELD_SIZE - 1.5), math.ceil(high * FIELD_SIZE + 1.5)
-        slices.append(slice(min(max(first, 0), FIELD_SIZE - 1), max(min(end, FIELD_SIZE), 1)))
-    return slices[0], slices[1], slices[2]
+        ends.append((min(max(first, 0), FIELD_SIZE - 1), max(min(end, FIELD_SIZE), 1)))
+    (x0, x1), (y0, y1), (z0, z1) = ends
+    return (x0, y0, z0), (x1, y1, z1)
 
 
-def look_up(lattice: Lattice, points: Places) -> Places:
-    """Trilinear lookup of a vector field at places in edges of the grid; the last value holds outside.
-
-    The lattice is laid out as one tall image, slices of constant x below each other, in which OpenCV looks up the two
-    slices on either side, bilinear in y and z; weights are exact to 1/32 of a lattice cell there.
-    """
-    size = lattice.shape[1]
-    image = np.ascontiguousarray(lattice.transpose(1, 2, 3, 0)).reshape(size * size, size, 3)
-    place = np.clip(points * np.float32(size) - np.float32(0.5), 0.0, size - 1.0)
-    place = place.reshape(3, -1, points.shape[3])
-    below = np.minimum(np.floor(place[0]), np.float32(size - 2))
-    row = below * np.float32(size) + place[1]
-    weight = (place[0] - below)[:, :, None]
-    lower = np.asarray(cv2.remap(image, place[2], row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
-    row += np.float32(size)
-    upper = np.asarray(cv2.remap(image, place[2], row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32)
-    upper -= lower
-    upper *= weight
-    upper += lower
-    return np.ascontiguousarray(upper.transpose(2, 0, 1)).reshape(points.shape)
-
-
-def at_voxels(field: Field, rest: Occupancy) -> Voxels:
-    """The field between its nodes, at the centre of every voxel; the lowest voxels of the body at rest do not move.
-
-    They lie half a voxel above what is clamped.
-    """
-    fine: Voxels = np.matmul(_UPSAMPLING, np.matmul(_UPSAMPLING, field @ _UPSAMPLING.T).reshape(3, FIELD_SIZE, -1))
-    fine = fine.reshape(3, *(GRID_SIZE,) * 3)
-    fine[..., 0] *= ~rest[..., 0]
-    return fine
-
-
-_UPSAMPLING = interpolation(FIELD_SIZE, GRID_SIZE, continued=False)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_NEXT = np.uintp(1)
 _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
-_CENTRES: Field = np.stack(np.meshgrid(_STEPS, _STEPS, _STEPS, indexing="ij"))
+
+
+@compiled
+def _filled_range(occupancy: UInt8[np.ndarray, "x=64 y=64 z=64"]) -> tuple[Voxel, Voxel]:
+    above = np.zeros(GRID_SIZE, np.uint8)
+    low_x, low_y, low_z, end_x, end_y, end_z = GRID_SIZE, GRID_SIZE, GRID_SIZE, 0, 0, 0
+    for x in range(GRID_SIZE):
+        for y in range(GRID_SIZE):
+            some = np.uint8(0)
+            for z in range(GRID_SIZE):
+                some |= occupancy[x, y, z]
+                above[z] |= occupancy[x, y, z]
+            if some:
+                low_x, end_x, low_y, end_y = min(low_x, x), x + 1, min(low_y, y), max(end_y, y + 1)
+    for z in range(GRID_SIZE):
+        if above[z]:
+            low_z, end_z = min(low_z, z), z + 1
+    return (low_x, low_y, low_z), (end_x, end_y, end_z)
+
+
+@compiled
+def _correct(backward: Field, correction: Lattice, first: Voxel, end: Voxel, result: Field) -> None:
+    """`corrected` at the nodes from `first` to before `end`."""
+    for i in range(first[0], end[0]):
+        for j in range(first[1], end[1]):
+            for k in range(first[2], end[2]):
+                x, y, z = _STEPS[i], _STEPS[j], _STEPS[k]
+                dx, dy, dz = _vector_at(
+                    correction, x - backward[0, i, j, k], y - backward[1, i, j, k], z - backward[2, i, j, k]
+                )
+                ux, uy, uz = _vector_at(backward, x - dx, y - dy, z - dz)
+                ux, uy, uz = ux + dx, uy + dy, uz + dz
+                squared = ux * ux + uy * uy + uz * uz
+                held = z / np.sqrt(squared) if squared > z * z else _ONE
+                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = held * ux, held * uy, held * uz
+
+
+@compiled
+def _vector_at(lattice: Lattice, x: np.float32, y: np.float32, z: np.float32) -> Vector:
+    """Trilinear lookup at a place in edges of the grid."""
+    i, a = _cell_of(x, lattice.shape[1])
+    j, b = _cell_of(y, lattice.shape[2])
+    k, c = _cell_of(z, lattice.shape[3])
+    p, q, r, s = (_ONE - a) * (_ONE - b), (_ONE - a) * b, a * (_ONE - b), a * b
+    return (
+        _mean(lattice, 0, i, j, k, p, q, r, s, c), _mean(lattice, 1, i, j, k, p, q, r, s, c),
+        _mean(lattice, 2, i, j, k, p, q, r, s, c),
+    )  # fmt: skip
+
+
+@compiled
+def _cell_of(place: np.float32, size: int) -> tuple[np.uintp, np.float32]:
+    """The node below, and what the one above it counts for."""
+    place = place * np.float32(size) - _HALF
+    place = place if place > _ZERO else _ZERO  # nor is what is no number
+    last = np.float32(size - 1)
+    place = place if place < last else last
+    below = min(np.int32(place), np.int32(size - 2))
+    # an index without a sign is not looked at for counting from the end
+    return np.uintp(below), place - np.float32(below)
+
+
+@compiled
+def _mean(
+    lattice: Lattice, axis: int, i: np.uintp, j: np.uintp, k: np.uintp,
+    p: np.float32, q: np.float32, r: np.float32, s: np.float32, c: np.float32,
+) -> np.float32:  # fmt: skip
+    """One component in a cell: p, q, r, s are the shares of its edges along z, c that of their upper ends."""
+    low = (p * lattice[axis, i, j, k] + q * lattice[axis, i, j + _NEXT, k]) + (
+        r * lattice[axis, i + _NEXT, j, k] + s * lattice[axis, i + _NEXT, j + _NEXT, k]
+    )
+    k += _NEXT
+    high = (p * lattice[axis, i, j, k] + q * lattice[axis, i, j + _NEXT, k]) + (
+        r * lattice[axis, i + _NEXT, j, k] + s * lattice[axis, i + _NEXT, j + _NEXT, k]
+    )
+    return low + c * (high - low)

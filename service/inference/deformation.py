@@ -12,12 +12,11 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy, Probability
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.core.displacement import at_voxels, body_box, corrected
+from service.core.displacement import body_box, corrected
 from service.core.lookup import Warp
 from service.core.manifest import Manifest
 from service.core.prior import ElasticPrior
 
-Displacements: TypeAlias = Float32[np.ndarray, "n axis=3 x=64 y=64 z=64"]
 Forward: TypeAlias = Float32[np.ndarray, "n axis=3 x=16 y=16 z=16"]
 Backward: TypeAlias = Float32[np.ndarray, "n axis=3 x=32 y=32 z=32"]
 
@@ -30,11 +29,12 @@ class Deformation:
 
     Attributes:
         probability: Occupancy probability after each load.
-        displacement: Backward displacement in edges of the grid: the material at y was at rest at y - u(y).
+        field: Backward displacement u on the lattice of `service.core.displacement.Field`, in edges of the grid: the
+            material at y was at rest at y - u(y).
     """
 
     probability: Float32[np.ndarray, "n x=64 y=64 z=64"]
-    displacement: Displacements
+    field: Backward
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,7 @@ class DeformationModel:
         def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
             (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})
             fields = [corrected(u, delta, box) for u, delta in zip(prior.backward, correction, strict=True)]
-            displacement = np.stack([at_voxels(field, rest) for field in fields])
-            return Deformation(np.stack([deform(u) for u in displacement]), displacement)
+            return Deformation(_stacked([deform(field) for field in fields]), _stacked(fields))
 
         if samples == 0:
             return answer(np.zeros((len(conditions), self._latent), np.float32))
@@ -97,7 +96,7 @@ class DeformationModel:
         answers = [answer(np.repeat(draw[None], len(conditions), axis=0)) for draw in draws]
         return Deformation(
             np.stack([each.probability for each in answers]).mean(axis=0),
-            np.stack([each.displacement for each in answers]).mean(axis=0),
+            np.stack([each.field for each in answers]).mean(axis=0),
         )
 
     def _solver(self, rest: Occupancy, poisson_ratio: float) -> ElasticPrior:
@@ -116,3 +115,8 @@ class DeformationModel:
             if value > high or (value < low and name != "log10_load_number"):
                 return True
         return False
+
+
+def _stacked(arrays: list[Float32[np.ndarray, "..."]]) -> Float32[np.ndarray, "n ..."]:
+    """`np.stack`, which copies the one array of a single load, too."""
+    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)

@@ -10,7 +10,6 @@ from service.core.arrays import Vector3
 from service.core.camera import project
 from service.core.errors import ContactOffBody, EmptyObject, InvalidRequest, ReconstructionGone
 from service.core.grids import pack_bits
-from service.core.lookup import smoothed
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
@@ -21,6 +20,7 @@ from service.core.messages import (
     Load,
     Observation,
 )
+from service.core.smoothing import smoothed
 from service.inference.registry import Models
 from service.pipeline import Body, Pipeline, Stopwatch
 from service.reconstructions import Reconstructions

@@ -51,9 +51,28 @@ def test_volume_survives_resampling() -> None:
     assert resampled_m3 == pytest.approx(volume_m3, rel=0.02)
 
 
+@pytest.mark.parametrize("angles", [(0.0, 0.0, 0.4), (0.3, -0.2, 0.4)])
+def test_resampling_is_trilinear_and_falls_to_zero_outside(angles: tuple[float, float, float]) -> None:
+    """Upright columns and all others: a sum over the eight voxels around each centre, of zeros outside the source."""
+    field = np.random.default_rng(1).random((64, 64, 64), np.float32)
+    turned = pose(angles, (0.12, -0.03, -0.02))
+    target = Grid(1.1 * GRID.pitch_m, GRID.camera_from_grid @ turned)
+    centres = (np.indices((64, 64, 64)).reshape(3, -1) + 0.5) * target.pitch_m
+    places = (turned[:3, :3] @ centres + turned[:3, 3:]) / GRID.pitch_m - 0.5
+    padded, place = np.pad(field, 1), np.clip(places + 1.0, 0.0, 65.0)
+    below = np.minimum(place.astype(int), 64)
+    share = place - below
+    expected = np.zeros(64**3)
+    for corner in np.ndindex(2, 2, 2):
+        weight = np.prod([share[axis] if corner[axis] else 1.0 - share[axis] for axis in range(3)], axis=0)
+        expected += weight * padded[below[0] + corner[0], below[1] + corner[1], below[2] + corner[2]]
+    assert 0.2 < (expected > 0).mean() < 0.95
+    np.testing.assert_allclose(resample(field, GRID, target).ravel(), expected, atol=1e-4)
+
+
 def test_resampling_to_the_same_grid_changes_nothing() -> None:
     field = np.random.default_rng(0).random((64, 64, 64), np.float32)
-    np.testing.assert_allclose(resample(field, GRID, GRID), field, atol=2e-3)
+    np.testing.assert_allclose(resample(field, GRID, GRID), field, atol=1e-5)
 
 
 def test_outside_the_source_there_is_nothing() -> None:
@@ -86,6 +105,25 @@ def test_without_up_the_three_principal_axes_are_found() -> None:
     np.testing.assert_allclose(np.abs(lean[:3, :3].T @ axes), np.eye(3), atol=0.03)
     assert axes[2, 2] > 0
     assert np.linalg.det(axes) == pytest.approx(1.0)
+
+
+def test_the_grid_encloses_every_voxel_along_the_principal_axes() -> None:
+    """Against NumPy's moments of a body that is anything but symmetric."""
+    rng = np.random.default_rng(5)
+    body = wedge(GRID, 0.7, (0.25, 0.22)) & (rng.random((64, 64, 64)) < 0.3)
+    centres = (np.argwhere(body) + 0.5) * GRID.pitch_m
+    centred = centres[:, :2] - centres[:, :2].mean(axis=0)
+    x = np.linalg.eigh(centred.T @ centred)[1][:, 1]
+    x *= np.sign(((centred @ x) ** 3).sum())
+    axes = np.array([[x[0], -x[1], 0.0], [x[1], x[0], 0.0], [0.0, 0.0, 1.0]])
+    local = centres @ axes
+    low, high = local.min(axis=0) - GRID.pitch_m / 2, local.max(axis=0) + GRID.pitch_m / 2
+    edge_m = max((high - low)[:2].max() / HORIZONTAL_FILL, (high - low)[2] / VERTICAL_FILL)
+    corner = axes @ [*(low + high)[:2] / 2 - edge_m / 2, low[2]]
+    found = body_grid(body, GRID, on_floor=False)
+    assert found.edge_m == pytest.approx(edge_m, rel=1e-9)
+    expected = GRID.camera_from_grid @ np.block([[axes, corner[:, None]], [np.zeros(3), 1.0]])
+    np.testing.assert_allclose(found.camera_from_grid, expected, atol=1e-9)
 
 
 def test_an_empty_grid_is_an_empty_object() -> None:

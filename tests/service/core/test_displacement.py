@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.core.displacement import at_voxels, body_box, corrected, look_up
+from service.core.displacement import body_box, corrected, filled_range
 
 STEPS = (np.arange(32) + 0.5) / 32
 CENTRES = np.stack(np.meshgrid(STEPS, STEPS, STEPS, indexing="ij")).astype(np.float32)
@@ -16,23 +16,42 @@ def constant(*vector: float) -> np.ndarray:
     return np.broadcast_to(np.array(vector, np.float32)[:, None, None, None], (3, 32, 32, 32)).copy()
 
 
+def looked_up(lattice: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Trilinear between nodes at (i + ½)/s, the last value outside: a sum over the eight nodes around each place."""
+    size = lattice.shape[1]
+    place = np.clip(points.astype(np.float64) * size - 0.5, 0.0, size - 1.0)
+    below = np.minimum(place.astype(int), size - 2)
+    share = place - below
+    result = np.zeros(points.shape)
+    for node in np.ndindex(2, 2, 2):
+        weight = np.prod([share[axis] if node[axis] else 1.0 - share[axis] for axis in range(3)], axis=0)
+        result += weight * lattice[:, below[0] + node[0], below[1] + node[1], below[2] + node[2]]
+    return result
+
+
 @pytest.mark.parametrize("size", [16, 32])
-def test_a_linear_field_is_looked_up_exactly_inside_the_lattice(size: int) -> None:
-    slopes = np.array([[1.0, 0.2, 0.0], [0.0, -0.5, 0.3], [0.4, 0.0, 0.7]], np.float32)
-    field = np.einsum("ca,axyz->cxyz", slopes, lattice(size)).astype(np.float32)
-    points = (0.05 + 0.9 * np.random.default_rng(0).random((3, 32, 32, 32))).astype(np.float32)
-    np.testing.assert_allclose(look_up(field, points), np.einsum("ca,axyz->cxyz", slopes, points), atol=1e-3)
+def test_the_kernel_is_the_formula(size: int) -> None:
+    """u(y) = δ(ψ(y)) + u_b(y − δ), no longer than y is high; some places lie outside of both lattices."""
+    rng = np.random.default_rng(3)
+    backward = rng.normal(0.0, 0.1, (3, 32, 32, 32)).astype(np.float32)
+    correction = rng.normal(0.0, 0.1, (3, size, size, size)).astype(np.float32)
+    moved = looked_up(correction, CENTRES - backward)
+    expected = moved + looked_up(backward, CENTRES - moved)
+    expected *= np.minimum(1.0, CENTRES[2] / np.linalg.norm(expected, axis=0))
+    np.testing.assert_allclose(corrected(backward, correction), expected, atol=3e-5)
 
 
-def test_outside_the_lattice_the_last_value_holds() -> None:
-    field = lattice(16)
-    far = np.full((3, 32, 32, 32), 3.0, np.float32)
-    np.testing.assert_allclose(look_up(field, far), 1.0 - 0.5 / 16, atol=1e-6)
+def test_what_is_no_number_stays_where_it_is() -> None:
+    """A lookup at such a place must not leave the lattice."""
+    field = constant(0.0, 0.0, 0.0)
+    field[:, 3, 4, 5] = np.nan, np.inf, -np.inf
+    found = corrected(field, np.full((3, 16, 16, 16), 0.01, np.float32))
+    assert np.isfinite(found[:, 10:, 10:, 10:]).all()
 
 
 def test_no_correction_leaves_the_field() -> None:
     field = (0.01 * np.sin(4 * CENTRES)).astype(np.float32)
-    np.testing.assert_allclose(corrected(field, np.zeros((3, 16, 16, 16), np.float32)), field, atol=2e-4)
+    np.testing.assert_allclose(corrected(field, np.zeros((3, 16, 16, 16), np.float32)), field, atol=1e-7)
 
 
 def test_without_a_field_the_correction_is_all() -> None:
@@ -61,6 +80,7 @@ def test_only_where_the_body_can_get_to_is_corrected() -> None:
     field = np.zeros((3, 32, 32, 32), np.float32)
     field[0] = 0.1 * CENTRES[2]
     correction = np.full((3, 16, 16, 16), 0.02, np.float32)
+    assert filled_range(rest) == ((20, 30, 0), (36, 40, 24))
     part, whole = corrected(field, correction, body_box(rest)), corrected(field, correction)
     # Within reach: x from 20/64 to 36/64 + 0.12, and no farther than two nodes beyond.
     np.testing.assert_array_equal(part[:, 10:22, 15:21, :13], whole[:, 10:22, 15:21, :13])
@@ -74,13 +94,10 @@ def test_nothing_moves_farther_than_it_is_high() -> None:
     np.testing.assert_allclose(field[:, :, :, 20:], constant(0.4, 0.1, 0.1)[:, :, :, 20:], atol=1e-5)
 
 
-def test_voxels_lie_between_nodes_and_the_sole_does_not_move() -> None:
+def test_the_box_is_that_of_every_voxel() -> None:
     rest = np.zeros((64, 64, 64), bool)
-    rest[10:20, 10:20, :5] = True
-    fine = at_voxels((0.1 * CENTRES).astype(np.float32), rest)
-    steps = ((np.arange(64) + 0.5) / 64).astype(np.float32)
-    np.testing.assert_allclose(fine[2, 30, 30, 1:-1], 0.1 * steps[1:-1], atol=1e-6)
-    np.testing.assert_allclose(fine[0, 1:-1, 30, 30], 0.1 * steps[1:-1], atol=1e-6)
-    np.testing.assert_allclose(fine[1, 30, 1:-1, 30], 0.1 * steps[1:-1], atol=1e-6)
-    assert not fine[:, 10:20, 10:20, 0].any()
-    assert fine[0, 9, 10, 0] > 0
+    assert filled_range(rest) is None
+    with pytest.raises(ValueError, match="empty"):
+        body_box(rest)
+    rest[63, 5, 0] = rest[7, 60, 9] = rest[20, 3, 62] = True
+    assert filled_range(rest) == ((7, 3, 0), (64, 61, 63))

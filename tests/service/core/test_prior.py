@@ -99,8 +99,7 @@ def test_a_column_that_bends_far_keeps_its_volume() -> None:
     rest = column(8, 56)
     prior = ElasticPrior(rest, 0.3)
     field = prior.displacements([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), 5e-5)], steps=6).backward[0]
-    fine = field.repeat(2, axis=1).repeat(2, axis=2).repeat(2, axis=3)
-    assert (warp(rest, fine) > 0.5).sum() == pytest.approx(rest.sum(), rel=0.06)
+    assert (warp(rest, field) > 0.5).sum() == pytest.approx(rest.sum(), rel=0.06)
 
 
 def test_an_absurd_load_has_a_finite_answer_of_bounded_size() -> None:

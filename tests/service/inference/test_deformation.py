@@ -2,14 +2,20 @@ import numpy as np
 import pytest
 
 from service.core.condition import CONDITION_FIELDS
-from service.core.displacement import at_voxels, body_box, corrected
-from service.core.lookup import warp
+from service.core.displacement import body_box, corrected
+from service.core.lookup import motion, warp
 from service.core.prior import ElasticPrior
 from service.inference.registry import Models
 
 BODY = np.zeros((64, 64, 64), bool)
 BODY[24:40, 20:44, 0:44] = True
 """A block on the floor, pushed on its upper end."""
+EVERYWHERE = np.ones_like(BODY)
+
+
+def displacement(field: np.ndarray) -> np.ndarray:
+    """At every voxel, in edges of the grid."""
+    return motion(field, BODY, EVERYWHERE, 1.0).displacement_m
 
 
 def push(y: float = 0.5, direction: tuple[float, float, float] = (1.0, 0.0, 0.0), log_load: float = -2.5) -> np.ndarray:
@@ -20,37 +26,37 @@ def test_a_batch_of_loads_is_each_load_on_its_own(models: Models) -> None:
     pushes = [push(0.4), push(0.5, (0.0, 0.0, -1.0), -3.0), push(0.6, (0.6, 0.8, 0.0), -2.8)]
     together = models.deformation(BODY, pushes)
     assert together.probability.shape == (3, 64, 64, 64)
-    assert together.displacement.shape == (3, 3, 64, 64, 64)
+    assert together.field.shape == (3, 3, 32, 32, 32)
     for i, one in enumerate(pushes):
         alone = models.deformation(BODY, [one])
         # Rounding decides which cell of the coarse solve's lattice a point on its border counts to.
-        np.testing.assert_allclose(together.displacement[i], alone.displacement[0], atol=5e-4)
-        # The lookup rounds its weights to 1/32 voxel.
+        np.testing.assert_allclose(together.field[i], alone.field[0], atol=5e-4)
+        # They are thirty times as far apart in voxels.
         np.testing.assert_allclose(together.probability[i], alone.probability[0], atol=0.07)
 
 
 def test_probability_is_the_body_looked_up_through_the_displacement(models: Models) -> None:
     answer = models.deformation(BODY, [push()])
-    np.testing.assert_array_equal(answer.probability[0], warp(BODY, answer.displacement[0]))
+    np.testing.assert_array_equal(answer.probability[0], warp(BODY, answer.field[0]))
 
 
 def test_the_body_moves_the_way_it_is_pushed(models: Models) -> None:
     for direction in ((1.0, 0.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
         answer = models.deformation(BODY, [push(direction=direction)])
-        moved = answer.displacement[0][:, answer.probability[0] > 0.5].mean(axis=1)
+        moved = displacement(answer.field[0])[:, answer.probability[0] > 0.5].mean(axis=1)
         assert moved @ direction > 0.5 * np.linalg.norm(moved) > 0.0
 
 
 def test_the_body_stays_where_it_is_clamped(models: Models) -> None:
     answer = models.deformation(BODY, [push()])
-    lengths = np.linalg.norm(answer.displacement[0], axis=0)
+    lengths = np.linalg.norm(displacement(answer.field[0]), axis=0)
     top = lengths[:, :, 36:44][BODY[:, :, 36:44]].mean()
     assert lengths[:, :, 0][BODY[:, :, 0]].mean() < 0.25 * top
 
 
 def test_a_harder_push_moves_it_farther(models: Models) -> None:
     lengths = [
-        np.linalg.norm(models.deformation(BODY, [push(log_load=load)]).displacement[0][:, BODY], axis=0).mean()
+        np.linalg.norm(displacement(models.deformation(BODY, [push(log_load=load)]).field[0])[:, BODY], axis=0).mean()
         for load in (-4.0, -3.0, -2.3)
     ]
     assert lengths[0] < lengths[1] < lengths[2]
@@ -91,7 +97,7 @@ def test_a_body_asked_about_again_is_not_factorised_again(models: Models, monkey
 def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
     first, second = (models.deformation(BODY, [push(), push(0.6)], samples=3) for _ in range(2))
     np.testing.assert_array_equal(first.probability, second.probability)
-    np.testing.assert_array_equal(first.displacement, second.displacement)
+    np.testing.assert_array_equal(first.field, second.field)
 
 
 def test_samples_are_averaged(models: Models) -> None:
@@ -101,9 +107,9 @@ def test_samples_are_averaged(models: Models) -> None:
     prior = models.deformation.prior(BODY, [push()])
     inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None], "prior": prior.forward}
     corrections = [session.run(["correction"], {**inputs, "noise": draw[None]})[0][0] for draw in draws]
-    fields = [at_voxels(corrected(prior.backward[0], correction, body_box(BODY)), BODY) for correction in corrections]
+    fields = [corrected(prior.backward[0], correction, body_box(BODY)) for correction in corrections]
     answer = models.deformation(BODY, [push()], samples=2)
-    np.testing.assert_allclose(answer.displacement[0], np.mean(fields, axis=0), atol=1e-6)
+    np.testing.assert_allclose(answer.field[0], np.mean(fields, axis=0), atol=1e-6)
     np.testing.assert_allclose(answer.probability[0], np.mean([warp(BODY, f) for f in fields], axis=0), atol=1e-6)
 
 

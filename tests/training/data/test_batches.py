@@ -5,7 +5,6 @@ import pytest
 import torch
 
 from service.core import lookup
-from service.core.displacement import at_voxels
 from service.core.grids import unpack_bits
 from tests.training import tiny
 from training.data.batches import DeformationBatch, DeformationSet, ViewSet, split_of, unpack
@@ -119,7 +118,7 @@ def random_batch() -> DeformationBatch:
 def warped(rest: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
     """The body under each field, as served."""
     body = rest[0, 0].numpy() > 0.5
-    return torch.from_numpy(np.stack([lookup.warp(body, at_voxels(one, body)) for one in field.contiguous().numpy()]))
+    return torch.from_numpy(np.stack([lookup.warp(body, one) for one in field.contiguous().numpy()]))
 
 
 IMAGES = [
@@ -142,8 +141,7 @@ def test_an_image_of_the_image_is_the_original(image) -> None:
 @pytest.mark.parametrize("image", IMAGES)
 def test_the_image_of_the_deformation_is_the_deformation_of_the_image(image) -> None:
     batch = image(random_batch())
-    # Rows of the lookup reach 4356, where float32 steps by 5e-4.
-    torch.testing.assert_close(warped(batch.rest, batch.displacement), batch.deformed, atol=1e-3, rtol=0)
+    torch.testing.assert_close(warped(batch.rest, batch.displacement), batch.deformed, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize(
