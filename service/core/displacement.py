@@ -150,4 +150,4 @@ def _mean(
     high = (p * lattice[axis, i, j, k] + q * lattice[axis, i, j + _NEXT, k]) + (
         r * lattice[axis, i + _NEXT, j, k] + s * lattice[axis, i + _NEXT, j + _NEXT, k]
     )
-    return low + c * (high - low)
+    return np.float32(low + c * (high - low))

@@ -12,7 +12,8 @@ from jaxtyping import Bool, Float32, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.compiled import compiled
-from service.core.displacement import FIELD_SIZE, Field, filled_range
+from service.core.displacement import Field, filled_range
+from service.core.prior_field import FIELD_SIZE
 from service.core.smoothing import smoothed, sure_of
 
 Displacement: TypeAlias = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
@@ -60,7 +61,7 @@ def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float) ->
     largest_m, total_m = _gather(
         np.ascontiguousarray(field), sole, deformed, deformed.view(np.uint64), np.float32(edge_m), displacement_m
     )
-    return Motion(displacement_m, largest_m, total_m / max(np.count_nonzero(deformed), 1))
+    return Motion(displacement_m, largest_m, total_m / max(int(np.count_nonzero(deformed)), 1))
 
 
 def warp(rest: Occupancy, field: Field) -> Probability:
@@ -212,7 +213,7 @@ def _any(eights: Eights, x: int, y: int) -> bool:
     found = np.uint64(0)
     for eight in range(GRID_SIZE // 8):
         found |= eights[x, y, eight]
-    return found != 0
+    return bool(found != 0)
 
 
 @compiled
@@ -295,4 +296,4 @@ def between(
     r += c * (values[next_x + _NEXT] - r)
     s += c * (values[next_xy + _NEXT] - s)
     p += b * (q - p)
-    return p + a * (r + b * (s - r) - p)
+    return np.float32(p + a * (r + b * (s - r) - p))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from service.core.lookup import SURE
+from service.core.smoothing import SURE
 from training.networks.blocks import cell_centres
 
 
@@ -51,7 +51,7 @@ def displacement_at(
 
 
 def smoothed(occupancy: Float[Tensor, "bodies 1 64 64 64"]) -> Float[Tensor, "bodies 1 64 64 64"]:
-    """`service.core.lookup.smoothed` of a batch."""
+    """`service.core.smoothing.smoothed` of a batch."""
     values = occupancy
     for axis in (2, 3, 4):
         size = values.shape[axis]
