@@ -57,7 +57,7 @@ def _ends(cells: Cells, panels: int) -> Ends:
     ends = np.empty(panels, np.int64)
     for k in range(panels):
         ends[k] = PANEL * (k + 1)
-    for c in range(cells.count):
+    for c in range(cells.own):
         last = 0
         for a in range(8):
             last = max(last, 3 * cells.nodes[a, c] + 3)
@@ -72,14 +72,14 @@ def _ends(cells: Cells, panels: int) -> Ends:
 
 
 @compiled
-def _assemble(cells: Cells, growth: float, upper: Panels) -> None:
+def _assemble(cells: Cells, growth: np.float32, upper: Panels) -> None:
     """Add the cells and the bed, and multiply the diagonal by the growth."""
     for a in range(len(cells.nodes)):
         for b in range(len(cells.nodes)):
             for i in range(3):
                 for j in range(i if a == b else 0, 3):
                     stiffness = cells.stiffness[3 * a + i, 3 * b + j]
-                    for c in range(cells.count):
+                    for c in range(cells.own):
                         if cells.nodes[a, c] <= cells.nodes[b, c]:
                             _add(upper, 3 * cells.nodes[a, c] + i, 3 * cells.nodes[b, c] + j, stiffness[c])
     for a in range(len(cells.sole)):
@@ -97,6 +97,6 @@ def _assemble(cells: Cells, growth: float, upper: Panels) -> None:
 
 
 @compiled
-def _add(upper: Panels, row: int, column: int, value: float) -> None:
+def _add(upper: Panels, row: int, column: int, value: np.float32) -> None:
     panel = row // PANEL
     upper[panel, row - PANEL * panel, column - PANEL * panel] += value

@@ -28,7 +28,7 @@ class Cells(NamedTuple):
     """The cells of a body, k with those that only fill up.
 
     Attributes:
-        count: Cells of the body; those after them have no stiffness.
+        own: How many are the body's; those after them have no stiffness.
         nodes: Node of each corner.
         stiffness: Of each cell, local degree of freedom 3·corner + axis.
         rest: Place of each corner from the centre of its cell.
@@ -38,7 +38,7 @@ class Cells(NamedTuple):
         bed: Stiffness of the bed between them, the same along each axis.
     """
 
-    count: int
+    own: int
     nodes: Int[np.ndarray, "8 k"]
     stiffness: Float32[np.ndarray, "24 24 k"]
     rest: Float32[np.ndarray, "8 3"]
@@ -66,7 +66,7 @@ class Cells(NamedTuple):
         share = fill[around]
         bed = floor_stiffness(grid)[:, _LOWER][:, :, _LOWER].transpose(1, 2, 0)
         return cls(
-            count=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
+            own=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
             rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share / share.sum(axis=0),
             sole=np.ascontiguousarray(nodes[_LOWER][:, grid.floor_cells]),
             bed=np.ascontiguousarray(bed, np.float32),

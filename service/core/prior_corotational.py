@@ -84,7 +84,7 @@ class CorotationalSolver:
         longest = np.abs(u).max(axis=(1, 2))
         u *= np.minimum(1.0, _FARTHEST / np.maximum(longest, 1e-20)).astype(np.float32)[:, None, None]
         u[~np.isfinite(longest)] = 0.0
-        return u
+        return np.asarray(u)
 
     def correction(self, u: Loads, force: Loads) -> Loads:
         """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
@@ -173,7 +173,7 @@ def _internal_force(cells: Cells, u: Nodal, force: Nodal, rotation: Matrices) ->
 
 
 @compiled
-def _add_rest(cells: Cells, times: float, corners: Corners) -> None:
+def _add_rest(cells: Cells, times: np.float32, corners: Corners) -> None:
     """From displacements of the corners to their places, or back."""
     for a in range(len(corners)):
         for i in range(corners.shape[1]):

@@ -96,7 +96,7 @@ def _splat(points: Points, cells: Cells, displacement: Nodal, fine: Sums, coarse
                 corner, shape = corners[a, i], _SHAPE_27[q, a]
                 for c in range(k):
                     row[c] += shape * corner[c]
-        for c in range(cells.count):
+        for c in range(cells.own):
             x, y, z = moved[0, c], moved[1, c], moved[2, c]
             share = points.share[q, c]
             at_x, at_y, at_z = points.place[q, 0, c] + x, points.place[q, 1, c] + y, points.place[q, 2, c] + z
@@ -117,12 +117,12 @@ def _splat(points: Points, cells: Cells, displacement: Nodal, fine: Sums, coarse
 
 
 @compiled
-def _lattice_index(place: float) -> int:
+def _lattice_index(place: np.float32) -> int:
     return min(max(int(place * np.float32(_SPLAT_SIZE)), 0), _SPLAT_SIZE - 1)
 
 
 @compiled
-def _centre(index: int) -> float:
+def _centre(index: int) -> np.float32:
     return (np.float32(index) + np.float32(0.5)) * np.float32(1.0 / _SPLAT_SIZE)
 
 

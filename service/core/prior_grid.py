@@ -166,7 +166,7 @@ def _add_at_nodes(
 
 
 @compiled
-def _squared_distance(x: float, y: float, z: float, cell: Int[np.ndarray, "3"]) -> float:
+def _squared_distance(x: np.float32, y: np.float32, z: np.float32, cell: Int[np.ndarray, "3"]) -> np.float32:
     """To the centre of a cell, in edges of it."""
     half = np.float32(0.5)
     x, y, z = np.float32(cell[0]) + half - x, np.float32(cell[1]) + half - y, np.float32(cell[2]) + half - z
@@ -175,8 +175,8 @@ def _squared_distance(x: float, y: float, z: float, cell: Int[np.ndarray, "3"]) 
 
 @compiled
 def _add_to_cell(
-    x: float, y: float, z: float, value: float, cell: Int[np.ndarray, "3"], nodes: Int[np.ndarray, "8"],
-    result: Float32[np.ndarray, " n"],
+    x: np.float32, y: np.float32, z: np.float32, value: np.float32, cell: Int[np.ndarray, "3"],
+    nodes: Int[np.ndarray, "8"], result: Float32[np.ndarray, " n"],
 ) -> None:  # fmt: skip
     """Add a value at a place, in edges of a cell, to the corners of the cell."""
     zero, one = np.float32(0.0), np.float32(1.0)

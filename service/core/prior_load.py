@@ -94,7 +94,7 @@ def nodal_forces(grid: CellGrid, surface: Surface, conditions: Sequence[Conditio
 
 @compiled
 def _patch(
-    points: Points, outward: Points, contact: Float32[np.ndarray, "3"], radius: float,
+    points: Points, outward: Points, contact: Float32[np.ndarray, "3"], radius: np.float32,
     weights: Float32[np.ndarray, " k"],
 ) -> bool:  # fmt: skip
     """Write the weight of every point of the surface in a load; False where all are zero."""

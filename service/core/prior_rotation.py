@@ -12,7 +12,8 @@ from jaxtyping import Float32
 
 from service.core.compiled import compiled
 
-Nine: TypeAlias = tuple[float, float, float, float, float, float, float, float, float]
+Real: TypeAlias = np.float32
+Nine: TypeAlias = tuple[Real, Real, Real, Real, Real, Real, Real, Real, Real]
 Matrices = Float32[np.ndarray, "3 3 k"]
 Vectors = Float32[np.ndarray, "3 k"]
 
@@ -63,7 +64,7 @@ def _replace_inverted(matrices: Matrices) -> None:
 
 
 @compiled
-def cofactors(a: float, b: float, c: float, d: float, e: float, f: float, g: float, h: float, i: float) -> Nine:
+def cofactors(a: Real, b: Real, c: Real, d: Real, e: Real, f: Real, g: Real, h: Real, i: Real) -> Nine:
     """Cofactors (the transposed adjugate) of a matrix given row by row; its inverse is their transpose by det."""
     return (
         e * i - f * h, f * g - d * i, d * h - e * g,
@@ -73,7 +74,7 @@ def cofactors(a: float, b: float, c: float, d: float, e: float, f: float, g: flo
 
 
 @compiled
-def inverse_cube_root(x: float) -> float:
+def inverse_cube_root(x: Real) -> Real:
     """x^(−1/3) of a positive float32, exact to rounding: Newton's method from a third of the exponent's bits."""
     root = np.int32(0x54A2FA8C - np.float32(x).view(np.int32) // np.int32(3)).view(np.float32)
     for _ in range(3):
@@ -82,7 +83,7 @@ def inverse_cube_root(x: float) -> float:
 
 
 @compiled
-def exponential(x: float, y: float, z: float) -> Nine:
+def exponential(x: Real, y: Real, z: Real) -> Nine:
     """Rotation by the angle |ω| about ω = (x, y, z), row by row.
 
     Source: Rodrigues; exp(ω) = cos θ I + sin θ/θ [ω]× + (1 − cos θ)/θ² ω ωᵀ.
@@ -101,7 +102,7 @@ def exponential(x: float, y: float, z: float) -> Nine:
 
 
 @compiled
-def exponentials(axes: Vectors, share: float, result: Matrices) -> None:
+def exponentials(axes: Vectors, share: Real, result: Matrices) -> None:
     """`exponential` of a share of every axis."""
     for k in range(axes.shape[1]):
         a, b, c, d, e, f, g, h, i = exponential(share * axes[0, k], share * axes[1, k], share * axes[2, k])

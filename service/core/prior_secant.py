@@ -65,7 +65,9 @@ def next_places(
 
 
 @compiled
-def _least_squares(one: float, other: float, both: float, left_1: float, left_2: float) -> tuple[float, float]:
+def _least_squares(
+    one: float, other: float, both: float, left_1: float, left_2: float
+) -> tuple[np.float32, np.float32]:
     """Shares of the two changes that leave least of the last correction."""
     damping = _TINY + _DAMPING * (one + other) / (2.0 if other > 0.0 else 1.0)
     one, other = one + damping, other + damping

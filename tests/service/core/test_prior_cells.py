@@ -19,7 +19,7 @@ def some(*shape: int) -> np.ndarray:
 
 
 def test_cells_that_only_fill_up_have_no_stiffness_and_no_share() -> None:
-    assert K % 8 == 0 and K > M == CELLS.count
+    assert K % 8 == 0 and K > M == CELLS.own
     assert not CELLS.stiffness[:, :, M:].any()
     assert (CELLS.share[CELLS.around >= M] == 0.0).all()
     np.testing.assert_allclose(CELLS.share.sum(axis=0), 1.0, atol=1e-6)

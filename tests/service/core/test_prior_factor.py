@@ -81,7 +81,7 @@ def test_the_factor_of_a_body_solves_its_dense_equations(axes: tuple[int, int, i
     solution = np.empty_like(force)
     solve_at_rest(rest_factor(cells), force, solution)
     right = force.transpose(2, 1, 0).reshape(-1, 2)
-    stiffness = cells.stiffness[:, :, : cells.count].transpose(2, 0, 1)
+    stiffness = cells.stiffness[:, :, : cells.own].transpose(2, 0, 1)
     expected = np.linalg.solve(dense(grid, stiffness.astype(float), floor_stiffness(grid)), right)
     expected = expected.reshape(-1, 3, 2).transpose(2, 1, 0)
     np.testing.assert_allclose(solution, expected, atol=3e-3 * np.abs(expected).max())
