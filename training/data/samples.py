@@ -57,6 +57,8 @@ class Outcome(NamedTuple):
         smallest_jacobian: Smallest volume ratio in the body; NaN where the law is linear, which knows none.
         reaction: Of the clamp.
         von_mises: Stress at the voxels of the body at rest, in units of E.
+        iterations: Of the step that led here; 0 where the law is linear.
+        residual: Unbalanced forces over the load at its end; NaN where the law is linear.
     """
 
     law: str
@@ -64,6 +66,8 @@ class Outcome(NamedTuple):
     smallest_jacobian: float
     reaction: Reaction
     von_mises: Float64[np.ndarray, " k"]
+    iterations: int = 0
+    residual: float = np.nan
 
 
 @dataclass(frozen=True)
@@ -126,6 +130,7 @@ class Sample:
             "strain_energy": np.float32(outcome.strain_energy),
             "smallest_jacobian": np.float32(outcome.smallest_jacobian),
             "peak_von_mises": np.float32(largest),
+            "convergence": np.array([outcome.iterations, outcome.residual], np.float32),
             "reaction": np.concatenate([outcome.reaction.force, outcome.reaction.moment]).astype(np.float32),
             "young_modulus_pa": np.float64(material.young_modulus_pa),
             "force_n": np.float64(material.force_n(load.load_number)),
@@ -167,7 +172,10 @@ class State:
         """A converged step under one load."""
         (load,) = solution.loads
         stress = self.rasteriser.at_rest(von_mises(solver, solution))
-        outcome = Outcome("neo_hookean", solution.strain_energy, solution.smallest_jacobian, solution.reaction, stress)
+        outcome = Outcome(
+            "neo_hookean", solution.strain_energy, solution.smallest_jacobian, solution.reaction, stress,
+            solution.iterations, solution.residual,
+        )  # fmt: skip
         return self._sample(solution.displacement, load, outcome, solution.fraction)
 
     def _sample(

@@ -25,9 +25,10 @@ import numpy as np
 
 STORE_VERSION = 3
 """2: fields are kept at the nodes near the body, forward as well as backward; coverage follows from the bits.
-3: von Mises stress. A set stays in the version that it began in: one of version 2 is read, and added to, without it."""
+3: von Mises stress and how each state converged. A set stays in the version that it began in: one of version 2 is read,
+and added to, without them."""
 
-_ADDED = {"von_mises": 3, "peak_von_mises": 3}
+_ADDED = {"von_mises": 3, "peak_von_mises": 3, "convergence": 3}
 """Columns that sets before these versions do not have."""
 _OLDEST = 2
 """First version that is read."""

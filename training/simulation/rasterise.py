@@ -102,7 +102,7 @@ class Rasteriser:
 
     def at_rest(self, values: Float64[np.ndarray, " cells"]) -> Float64[np.ndarray, " k"]:
         """What cells hold, at the voxels of the body at rest, in the order of `Rasterised.at_rest`."""
-        return values[self._rest_cell]
+        return np.asarray(values[self._rest_cell])
 
     def occupancy(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Bool[np.ndarray, "x y z"]:
         """Only the deformed occupancy, by interpolated distances: off by 0.1 % of the volume where edges are sharp."""
