@@ -18,7 +18,7 @@ BACKWARD = (3, FIELD_SIZE, FIELD_SIZE, FIELD_SIZE)
 
 @dataclass(frozen=True, eq=False)
 class Priors:
-    """`service.core.prior` of the samples of a set; about 5 ms of one core and 216 KiB a sample.
+    """`service.core.prior` of the samples of a set; 2 to 3 ms of a shared core and 216 KiB a sample.
 
     Attributes:
         rest: Bits of the bodies.
