@@ -77,9 +77,9 @@ def quantise(folder: Path, data: Path) -> Manifest:
             )
         figures = evaluate_reconstruction(Graph(candidate), ViewSet.load(data, "test"), manifest.threshold)
         candidate.replace(graph)
-    kept: dict[str, Any] = {key: manifest.evaluation[key] for key in ("split", "temperature") if key in manifest.evaluation}
+    told = manifest.evaluation
     evaluation: dict[str, Any] = {
-        **kept, **figures, "arithmetic": "8-bit integers",
+        **{key: told[key] for key in ("split", "temperature") if key in told}, **figures, "arithmetic": "8-bit integers",
         "validation_iou_in_floats": before, "validation_iou_in_integers": after,
     }  # fmt: skip
     return write_manifest(folder, replace(manifest, evaluation=evaluation))
