@@ -79,8 +79,9 @@ def quantise(folder: Path, data: Path) -> Manifest:
         candidate.replace(graph)
     told = manifest.evaluation
     evaluation: dict[str, Any] = {
-        **{key: told[key] for key in ("split", "temperature") if key in told}, **figures, "arithmetic": "8-bit integers",
-        "validation_iou_in_floats": before, "validation_iou_in_integers": after,
+        **{key: told[key] for key in ("split", "temperature") if key in told}, **figures,
+        "arithmetic": "8-bit integers", "validation_iou_in_floats": before,
+        "validation_iou_in_integers": after,
     }  # fmt: skip
     return write_manifest(folder, replace(manifest, evaluation=evaluation))
 
