@@ -57,10 +57,7 @@ def build_pipeline(settings: Settings) -> Served:
     from service.warm_up import warm_up
 
     models = load_models(settings.models, settings.threads)
-    models.warm_up()
-    # What it asks is kept for itself, not among what robots may ask again.
-    apart = Reconstructions[Body](settings.max_body_bytes, settings.reconstruction_lifetime_s)
-    warm_up(Pipeline(models.reconstruction, models.deformation, kept=apart))
+    warm_up(models)
     limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
     kept = Reconstructions[Body](settings.reconstruction_bytes, settings.reconstruction_lifetime_s)
     pipeline = Pipeline(models.reconstruction, models.deformation, limits, kept)

@@ -27,7 +27,9 @@ from service.core.messages import (
     Load,
     Observation,
 )
-from service.pipeline import Pipeline
+from service.inference.registry import Models
+from service.pipeline import Body, Pipeline
+from service.reconstructions import Reconstructions
 
 log = logging.getLogger(__name__)
 
@@ -40,12 +42,16 @@ DOWN = Load(force_n=np.array([0.0, 0.0, 5.0]), contact_m=np.array([0.0, 0.0, TOP
 AT_PIXEL = Load(force_n=np.array([1.0, 0.0, 5.0]), contact_px=(WIDTH / 2, HEIGHT / 2))
 
 
-def warm_up(pipeline: Pipeline) -> None:
-    """Ask a pipeline one question of every kind; what networks in training answer is of no account.
+KEPT_BYTES, KEPT_S = 2**25, 600.0
+"""What the questions reconstruct is kept apart from what robots may ask again, as long as compiling may take."""
 
-    The pipeline should keep its reconstructions, or it is not asked again about one.
-    """
+
+def warm_up(models: Models) -> None:
+    """Ask one question of every kind; what networks in training answer is of no account."""
     with on_compiling(_tell):
+        models.warm_up()
+        kept = Reconstructions[Body](KEPT_BYTES, KEPT_S)
+        pipeline = Pipeline(models.reconstruction, models.deformation, kept=kept)
         earlier = None
         for request in _questions():
             with contextlib.suppress(PhysNetError):

@@ -68,7 +68,7 @@ def main() -> None:
     """Warm a pipeline up, ask, and name what was loaded on the way, or for more than one kind of array."""
     models = load_models(ROOT / "models", threads=1)
     pipeline = Pipeline(models.reconstruction, models.deformation, kept=Reconstructions[Body](2**25, 60.0))
-    warm_up(pipeline)
+    warm_up(models)
     before = loaded()
     for request in questions():
         answer = pipeline.predict(request)
