@@ -65,7 +65,7 @@ def questions() -> list[DeformRequest]:
 
 
 def main() -> None:
-    """Warm a pipeline up, ask, and name what was loaded on the way, or for more than one kind of array."""
+    """Warm a pipeline up, ask, and name what was loaded on the way."""
     models = load_models(ROOT / "models", threads=1)
     pipeline = Pipeline(models.reconstruction, models.deformation, kept=Reconstructions[Body](2**25, 60.0))
     warm_up(models)
@@ -74,7 +74,7 @@ def main() -> None:
         answer = pipeline.predict(request)
         assert answer.reconstruction_id is not None
         pipeline.predict(replace(request, source=EarlierReconstruction(answer.reconstruction_id)))
-    late = [name for name, count in loaded().items() if count > 1 or count != before[name]]
+    late = [name for name, count in loaded().items() if count != before[name]]
     print(len(before), *late)
 
 
