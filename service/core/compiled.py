@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
 from numba.core import event
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -23,11 +25,31 @@ def compiled(function: Kernel) -> Kernel:
     # the test run wraps every function in a check of its types, which the compiler cannot see through
     plain = inspect.unwrap(function)
     options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+    kernel: Any
     try:
         kernel = numba.njit(cache=True, **options)(plain)
+        index = kernel._cache._cache_file
+        index._source_stamp = (index._source_stamp, _imported(plain.__globals__))
     except RuntimeError:  # no place to keep the code in, as on a file system that is read only
         kernel = numba.njit(**options)(plain)
     return cast(Kernel, kernel)
+
+
+def _imported(names: Mapping[str, Any]) -> str:
+    """A digest of what is compiled into a module's kernels from elsewhere: kernels that they call, and constants.
+
+    Numba looks at the file of a kernel alone and would go on with the code of yesterday where another file changed.
+    """
+    digest = hashlib.sha256()
+    for name, value in sorted(names.items()):
+        if isinstance(value, numba.core.registry.CPUDispatcher):
+            index = getattr(value._cache, "_cache_file", None)
+            digest.update(repr((name, index and index._source_stamp)).encode())
+        elif isinstance(value, np.ndarray):
+            digest.update(name.encode() + value.tobytes())
+        elif isinstance(value, (int, float, tuple, np.number)):
+            digest.update(repr((name, value)).encode())
+    return digest.hexdigest()
 
 
 @contextmanager

@@ -1,3 +1,6 @@
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numba
@@ -6,6 +9,8 @@ import pytest
 from numba.core.caching import _CacheLocator  # what every place to keep code in derives from
 
 from service.core.compiled import compiled, on_compiling
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 def sum_of_squares(values: np.ndarray) -> float:
@@ -54,3 +59,26 @@ def test_compiling_is_told_of_once_and_loading_never(monkeypatch: pytest.MonkeyP
     with on_compiling(lambda: told.append("again")):
         assert compiled(sum_of_squares)(np.ones(2)) == 2.0
     assert told == ["compiling"]
+
+
+def test_a_change_of_a_kernel_or_a_constant_of_another_file_is_noticed(tmp_path: Path):
+    def ends(factor: int, offset: int) -> str:
+        (tmp_path / "one.py").write_text(
+            f"from service.core.compiled import compiled\nOFFSET = {offset}\n@compiled\n"
+            f"def scaled(x):\n    return {factor} * x\n"
+        )
+        script = "import two; print(two.moved(5), sum(two.moved.stats.cache_hits.values()))"
+        environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(
+            [sys.executable, "-c", script], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True,
+            timeout=120,
+        ).stdout.strip()  # fmt: skip
+
+    (tmp_path / "two.py").write_text(
+        "from one import OFFSET, scaled\nfrom service.core.compiled import compiled\n@compiled\n"
+        "def moved(x):\n    return scaled(x) + OFFSET\n"
+    )
+    assert ends(factor=2, offset=1) == "11 0"
+    assert ends(factor=2, offset=1) == "11 1"
+    assert ends(factor=2, offset=4) == "14 0"
+    assert ends(factor=13, offset=4) == "69 0"
