@@ -41,13 +41,14 @@ def _imported(names: Mapping[str, Any]) -> str:
     Numba looks at the file of a kernel alone and would go on with the code of yesterday where another file changed.
     """
     digest = hashlib.sha256()
+    value: Any
     for name, value in sorted(names.items()):
         if isinstance(value, numba.core.registry.CPUDispatcher):
-            index = getattr(value._cache, "_cache_file", None)
+            index = getattr(getattr(value, "_cache", None), "_cache_file", None)
             digest.update(repr((name, index and index._source_stamp)).encode())
         elif isinstance(value, np.ndarray):
             digest.update(name.encode() + value.tobytes())
-        elif isinstance(value, (int, float, tuple, np.number)):
+        elif all(isinstance(one, (int, float, np.number)) for one in (value if isinstance(value, tuple) else (value,))):
             digest.update(repr((name, value)).encode())
     return digest.hexdigest()
 
