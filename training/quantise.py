@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
+import sys
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import onnxruntime
 import torch
 from jaxtyping import Float
-from onnxruntime.quantization import CalibrationDataReader, QuantFormat, QuantType, quantize_static
+from onnxruntime.quantization import CalibrationDataReader, CalibrationMethod, QuantFormat, QuantType, quantize_static
 from onnxruntime.quantization.shape_inference import quant_pre_process
 from torch import Tensor
 
@@ -30,7 +32,9 @@ from training.evaluate import evaluate_reconstruction
 from training.export import ExportError, write_manifest
 from training.metrics import iou
 
-CALIBRATION_VIEWS = 100
+CALIBRATION_VIEWS = 30
+CALIBRATION_PERCENTILE = 99.999
+"""Of each activation: with scales by the extremes, 0.004 of IoU were lost where these lose nothing."""
 CHECKED_VIEWS = 160
 LARGEST_LOSS = 0.005
 """Of the IoU on validation views."""
@@ -87,18 +91,36 @@ def quantise(folder: Path, data: Path) -> Manifest:
 
 
 def write_integers(graph: Path, path: Path, views: ViewSet, count: int = CALIBRATION_VIEWS) -> None:
-    """The graph with quantised operators, scales by the extremes over an evenly spread part of the views.
+    """The graph with quantised operators, scales by an evenly spread part of the views.
 
     Weights get seven bits of the eight: pairs of products then fit sixteen, in which older CPUs add them up.
     """
-    with tempfile.TemporaryDirectory() as scratch, _quiet():
+    with tempfile.TemporaryDirectory() as scratch, _quiet(), contextlib.redirect_stdout(sys.stderr):
         prepared = Path(scratch) / "prepared.onnx"
         quant_pre_process(str(graph), str(prepared), skip_symbolic_shape=True)
         quantize_static(
             str(prepared), str(path), _Views(views, count), quant_format=QuantFormat.QDQ, per_channel=True,
             reduce_range=True, activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
-            extra_options={"WeightSymmetric": True, "ForceQuantizeNoInputCheck": True},
+            calibrate_method=CalibrationMethod.Percentile, nodes_to_exclude=_last_products(onnx.load(str(prepared)).graph),
+            extra_options={
+                "WeightSymmetric": True, "ForceQuantizeNoInputCheck": True, "CalibPercentile": CALIBRATION_PERCENTILE,
+            },
         )  # fmt: skip
+
+
+def _last_products(graph: onnx.GraphProto) -> list[str]:
+    """Names of the products that the answer is the sum of, and of all that follows them.
+
+    They stay in floats: logits span so much that a 256th of it moves the surface, and these are not faster in integers.
+    """
+    makers = {output: node for node in graph.node for output in node.output}
+    asked, names = [graph.output[0].name], []
+    while asked:
+        node = makers.get(asked.pop())
+        if node is not None and node.name not in names:
+            names.append(node.name)
+            asked += [] if node.op_type in ("MatMul", "Gemm", "Conv") else list(node.input)
+    return names
 
 
 def mean_iou(graph: Graph, views: ViewSet, threshold: float, count: int = CHECKED_VIEWS) -> float:
