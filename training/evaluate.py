@@ -109,7 +109,8 @@ def uncertain(
     probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]
 ) -> Bool[np.ndarray, "x y z"]:
     """The voxels that calibration is asked of, see `UNCERTAIN`."""
-    return (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
+    found: Bool[np.ndarray, "x y z"] = (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
+    return found
 
 
 def _calibration(

@@ -5,8 +5,8 @@ answer, and decodes a correction: the prior's field turned and scaled, and a fie
 of the material, where the body was at rest, so that it lines up with what the encoder saw. Detail of the shape passes
 through unblurred: the deformed occupancy is the undeformed one, looked up where the material came from.
 
-Both work over the ground plane, with the voxels of a vertical column as channels, in a quarter of the time of the network
-in space before them and a tenth for each further load (docs/runs.md).
+Both work over the ground plane, with the voxels of a vertical column as channels, in a quarter of the time of the
+network in space before them and a tenth for each further load (docs/runs.md).
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class LoadGenerator(nn.Module):
             own = own * (1.0 + whole[:, :1, None, None, None])
         own = own + affine_of(shown, whole[:, 1:]) + factor * shown.unflatten(1, (3, LATTICE_SIZE))
         height = cell_centres(LATTICE_SIZE, own)[2, 0, 0] / CLAMP_HEIGHT
-        held = own * (scale[:, None, None, None, None] * torch.tanh(height)[:, None, None])
+        held: Tensor = own * (scale[:, None, None, None, None] * torch.tanh(height)[:, None, None])
         return held.permute(0, 1, 3, 4, 2)
 
 
@@ -180,7 +180,8 @@ def affine_of(
     moved = (place[:, None] * shown.unflatten(1, (1, 3, LATTICE_SIZE)).flatten(3)).flatten(1, 2)
     share = share.unflatten(1, (3, TERMS))
     total = torch.matmul(share[:, :, : len(moved[0])], moved) + torch.matmul(share[:, :, len(moved[0]) :], place)
-    return total.unflatten(2, (LATTICE_SIZE,) * 3)
+    fields: Tensor = total.unflatten(2, (LATTICE_SIZE,) * 3)
+    return fields
 
 
 def _columns(fields: Float[Tensor, "batch c x y z"]) -> Float[Tensor, "batch cz x y"]:
