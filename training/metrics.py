@@ -96,7 +96,7 @@ def surface_distances(
     return np.asarray(to_truth), np.asarray(to_predicted)
 
 
-def _around(*grids: Bool[np.ndarray, "x y z"]) -> tuple[Bool[np.ndarray, "x y z"], ...]:
+def _around(*grids: Bool[np.ndarray, "x y z"]) -> tuple[Bool[np.ndarray, "width depth height"], ...]:
     """What of the grids lies in the box around all of their bodies: distances between them are the same there."""
     either = np.logical_or.reduce(grids)
     place = []

@@ -98,10 +98,11 @@ def write_integers(graph: Path, path: Path, views: ViewSet, count: int = CALIBRA
     with tempfile.TemporaryDirectory() as scratch, _quiet(), contextlib.redirect_stdout(sys.stderr):
         prepared = Path(scratch) / "prepared.onnx"
         quant_pre_process(str(graph), str(prepared), skip_symbolic_shape=True)
+        left = _last_products(onnx.load(str(prepared)).graph)
         quantize_static(
             str(prepared), str(path), _Views(views, count), quant_format=QuantFormat.QDQ, per_channel=True,
             reduce_range=True, activation_type=QuantType.QUInt8, weight_type=QuantType.QInt8,
-            calibrate_method=CalibrationMethod.Percentile, nodes_to_exclude=_last_products(onnx.load(str(prepared)).graph),
+            calibrate_method=CalibrationMethod.Percentile, nodes_to_exclude=left,
             extra_options={
                 "WeightSymmetric": True, "ForceQuantizeNoInputCheck": True, "CalibPercentile": CALIBRATION_PERCENTILE,
             },
