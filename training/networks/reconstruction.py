@@ -121,7 +121,9 @@ class ReconstructionNetwork(nn.Module):
             x = merge(torch.cat([up(x), passed.pop()], dim=1))
         x = x.permute(0, 2, 3, 1)
         column = self.activation(self.seen(columns) + spoken(x, self.spread))
-        logits: Tensor = spoken(x, self.head[0]) + self.detail(column)
+        (head,) = self.head
+        assert isinstance(head, nn.Conv2d)
+        logits: Tensor = spoken(x, head) + self.detail(column)
         return logits
 
 
