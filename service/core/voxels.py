@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int
 
 from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Transform, Vector3
 from service.core.camera import Intrinsics, project
@@ -188,23 +188,22 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     something that the body lacks.
     """
     covered = occupancy.copy()
-    _cover(occupancy, observed, covered)
+    _cover(occupancy, np.flatnonzero(observed > occupancy), covered)
     return covered
 
 
 @compiled
-def _cover(occupancy: Occupancy, observed: Occupancy, covered: Occupancy) -> None:
+def _cover(occupancy: Occupancy, missing: Int[np.ndarray, " n"], covered: Occupancy) -> None:
+    """Fill the missing voxels, given by their place in memory, that have no filled neighbour."""
     last = GRID_SIZE - 1
-    for i in range(GRID_SIZE):
-        for j in range(GRID_SIZE):
-            for k in range(GRID_SIZE):
-                if observed[i, j, k] and not occupancy[i, j, k]:
-                    alone = True
-                    for x in range(max(i - 1, 0), min(i + 1, last) + 1):
-                        for y in range(max(j - 1, 0), min(j + 1, last) + 1):
-                            for z in range(max(k - 1, 0), min(k + 1, last) + 1):
-                                alone = alone and not occupancy[x, y, z]
-                    covered[i, j, k] = alone
+    for place in missing:
+        i, j, k = place // GRID_SIZE**2, place // GRID_SIZE % GRID_SIZE, place % GRID_SIZE
+        alone = True
+        for x in range(max(i - 1, 0), min(i + 1, last) + 1):
+            for y in range(max(j - 1, 0), min(j + 1, last) + 1):
+                for z in range(max(k - 1, 0), min(k + 1, last) + 1):
+                    alone = alone and not occupancy[x, y, z]
+        covered[i, j, k] = alone
 
 
 def voxelize(
