@@ -103,9 +103,9 @@ def pin_to_one_thread() -> None:
 def main() -> None:
     pin_to_one_thread()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--bodies", type=int, default=8)
+    parser.add_argument("--bodies", type=int, default=20)
     parser.add_argument("--loads", type=int, default=64, help="linear loads on each body")
-    parser.add_argument("--nonlinear-bodies", type=int, default=6)
+    parser.add_argument("--nonlinear-bodies", type=int, default=20)
     parser.add_argument("--nonlinear-loads", type=int, default=3)
     parser.add_argument("--groups", type=int, default=4, help="groups of `everyday` to draw and write; 0: none")
     parser.add_argument("--cells", type=int, default=24)
