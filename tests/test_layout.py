@@ -74,7 +74,8 @@ def test_importing_the_core_stays_cheap(module: str) -> None:
     ]
     imports = ", ".join([module] if module == "service" else [module, *core])
     # Numba loads SciPy where it finds it; to us it is not there.
-    script = f"import sys; sys.modules['scipy'] = None; import {imports}; print(*{{n.split('.')[0] for n in sys.modules}})"
+    loads = f"import sys; sys.modules['scipy'] = None; import {imports}"
+    script = f"{loads}; print(*{{name.split('.')[0] for name in sys.modules}})"
     loaded = subprocess.run(
         [sys.executable, "-c", script],
         cwd=ROOT,
