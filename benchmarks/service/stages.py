@@ -60,7 +60,7 @@ def timed(repeats: int) -> dict[str, Any]:
     import cv2
 
     import service.pipeline
-    from service.api import convert, rpc_convert
+    from service.api import convert, replies, rpc_convert
     from service.inference.registry import load_models
 
     cv2.setNumThreads(1)
@@ -95,7 +95,7 @@ def timed(repeats: int) -> dict[str, Any]:
             predicted = time.process_time()
             rpc_convert.deform_response(result, request.outputs, "x").SerializeToString()
             as_message = time.process_time()
-            convert.reply_json(convert.reply_document(result, request.outputs, "x"), result.timing_ms)
+            replies.reply_json(replies.reply_document(result, request.outputs, "x"), result.timing_ms)
             as_json = time.process_time()
             stages = {"parse": 1e3 * (parsed - began), **result.timing_ms}
             prior_ms = inside.pop("prior", 0.0)

@@ -1,45 +1,29 @@
-"""Between the wire and `service.core.messages`: requests in, replies out. The only place where either is translated."""
+"""From the wire to `service.core.messages`. The only place where requests are translated; replies: `replies`."""
 
 from __future__ import annotations
 
-import base64
-import io
-import json
-import zipfile
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
-from pydantic_core import to_json
 
 from service.api.problem import validation_failed
-from service.api.scene import scene_glb
 from service.api.schemas import DeformBody, LoadBody, MaterialBody, ShapeBody
-from service.core.arrays import GRID_SIZE, Occupancy, Vector3
+from service.core.arrays import Vector3
 from service.core.camera import make_intrinsics, parse_up
 from service.core.errors import InvalidFrame, InvalidRequest
-from service.core.grids import pack_bits
 from service.core.materials import Material, material, material_named
 from service.core.messages import (
     DeformRequest,
-    DeformResult,
     EarlierReconstruction,
     EncodedImage,
     KnownShape,
     Load,
-    LoadResult,
     Observation,
 )
 
-HEAVY_FIELDS = 4
-"""Replies with more grids of floats or loads than this are encoded beside the event loop, not on it."""
-
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _NPY_SIGNATURE = b"\x93NUMPY"
-
-
-# --- requests ---------------------------------------------------------------------------------------------------
 
 
 def parse_body(data: bytes) -> DeformBody:
@@ -204,138 +188,3 @@ def _load(body: LoadBody, field: str) -> Load:
 
 def _vector(components: tuple[float, float, float]) -> Vector3:
     return np.array(components, np.float64)
-
-
-# --- replies ----------------------------------------------------------------------------------------------------
-
-
-def is_heavy(request: DeformRequest) -> bool:
-    """Whether the reply is better encoded beside the event loop."""
-    if "scene" in request.outputs:
-        return True
-    fields = len(request.loads) * len(request.outputs & {"probability", "displacement"})
-    return max(fields, len(request.loads)) > HEAVY_FIELDS
-
-
-def reply_document(result: DeformResult, outputs: frozenset[str], request_id: str) -> dict[str, Any]:
-    """The reply as in `service.api.schemas.DeformReply`, but for `timing_ms`, which ends with the encoding itself."""
-    grid = result.grid
-    document: dict[str, Any] = {"request_id": request_id}
-    if result.reconstruction_id is not None:
-        document["reconstruction_id"] = result.reconstruction_id
-    document |= {
-        "model": {"name": result.model_name, "version": result.model_version},
-        "grid": {
-            "shape": [GRID_SIZE] * 3,
-            "voxel_size_m": grid.pitch_m,
-            "camera_from_grid": grid.camera_from_grid.tolist(),
-        },
-    }
-    if "reconstruction" in outputs:
-        if result.observed is not None:
-            document["observed"] = _bits(result.observed)
-        document["reconstruction"] = _bits(result.reconstruction)
-        if "probability" in outputs:
-            document["reconstruction_probability"] = _probability(result.reconstruction_probability)
-    document["loads"] = [_load_document(load, outputs) for load in result.loads]
-    document["flags"] = sorted(result.flags)
-    if "scene" in outputs:
-        document["scene"] = {"encoding": "glb", "data": base64.b64encode(scene_glb(result)).decode("ascii")}
-    return document
-
-
-def _load_document(load: LoadResult, outputs: frozenset[str]) -> dict[str, Any]:
-    document: dict[str, Any] = {}
-    if "deformed" in outputs:
-        document["deformed"] = _bits(load.deformed)
-    if "probability" in outputs:
-        document["probability"] = _probability(load.probability)
-    if "displacement" in outputs:
-        field = half_precision(load.displacement_m)
-        document["displacement"] = {"encoding": "float16", "shape": list(field.shape), "data": _base64(field)}
-    document["max_displacement_m"] = load.max_displacement_m
-    document["mean_displacement_m"] = load.mean_displacement_m
-    document["load_number"] = load.load_number
-    document["flags"] = sorted(load.flags)
-    return document
-
-
-def _bits(occupancy: Occupancy) -> dict[str, Any]:
-    return {"encoding": "bits", "data": _base64(pack_bits(occupancy))}
-
-
-def _probability(probability: np.ndarray) -> dict[str, Any]:
-    found = levels(probability)
-    return {"encoding": "uint8", "shape": list(found.shape), "data": _base64(found)}
-
-
-def levels(probability: np.ndarray) -> np.ndarray:
-    """Probabilities as bytes, value/255: what both wires send."""
-    return np.rint(probability * np.float32(255.0)).astype(np.uint8)
-
-
-def half_precision(displacement_m: np.ndarray) -> np.ndarray:
-    """A displacement field as both wires send it: little-endian half precision, metres."""
-    return displacement_m.astype("<f2")
-
-
-def _base64(array: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(array).data).decode("ascii")
-
-
-def reply_json(document: Mapping[str, Any], timing_ms: Mapping[str, float]) -> bytes:
-    """The document with its timings as UTF-8 JSON."""
-    return to_json({**document, "timing_ms": timing_ms}, inf_nan_mode="null")
-
-
-def reply_npz(
-    result: DeformResult, outputs: frozenset[str], request_id: str, timing_ms: Mapping[str, float]
-) -> bytes:
-    """The same as arrays of a NumPy archive, loads stacked along the first axis.
-
-    `voxel_size_m` and `camera_from_grid`; where asked for `observed`, `reconstruction` (bool 64³), `deformed`
-    (bool n×64³), `reconstruction_probability` and `probability` (float16), `displacement_m` (float16 n×3×64³);
-    `max_displacement_m`, `mean_displacement_m`, `load_number` (n); `scene` (bytes of a binary glTF); the rest as JSON
-    in the string `meta`.
-    """
-    meta = {
-        "request_id": request_id,
-        "reconstruction_id": result.reconstruction_id,
-        "model": {"name": result.model_name, "version": result.model_version},
-        "flags": sorted(result.flags),
-        "load_flags": [sorted(load.flags) for load in result.loads],
-        "timing_ms": timing_ms,
-    }
-    arrays: dict[str, np.ndarray] = {
-        "meta": np.array(json.dumps(meta)),
-        "voxel_size_m": np.array(result.grid.pitch_m),
-        "camera_from_grid": result.grid.camera_from_grid,
-        "max_displacement_m": np.array([load.max_displacement_m for load in result.loads]),
-        "mean_displacement_m": np.array([load.mean_displacement_m for load in result.loads]),
-        "load_number": np.array([load.load_number for load in result.loads]),
-    }
-    if "reconstruction" in outputs:
-        if result.observed is not None:
-            arrays["observed"] = result.observed
-        arrays["reconstruction"] = result.reconstruction
-        if "probability" in outputs:
-            arrays["reconstruction_probability"] = result.reconstruction_probability.astype(np.float16)
-    if "deformed" in outputs:
-        arrays["deformed"] = np.stack([load.deformed for load in result.loads])
-    if "probability" in outputs:
-        arrays["probability"] = np.stack([load.probability.astype(np.float16) for load in result.loads])
-    if "displacement" in outputs:
-        arrays["displacement_m"] = np.stack([load.displacement_m.astype(np.float16) for load in result.loads])
-    if "scene" in outputs:
-        arrays["scene"] = np.frombuffer(scene_glb(result), np.uint8)
-    return _npz(arrays)
-
-
-def _npz(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """A NumPy archive at the fastest compression: occupancy shrinks 50-fold at it, and zlib's default costs 5 times."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
-    return buffer.getvalue()

@@ -16,8 +16,8 @@ from jaxtyping import Int16
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import to_json
 
-from service.api.convert import levels
 from service.api.problem import validation_failed
+from service.api.replies import levels
 from service.api.schemas import DeformBody, LoadBody, MaterialBody
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.errors import InvalidRequest

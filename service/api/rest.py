@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect
 
-from service.api import convert, openapi
+from service.api import convert, openapi, replies
 from service.api.body import read_body, read_multipart
 from service.api.context import RequestContext
 from service.api.handler import Handler
@@ -95,7 +95,7 @@ def _add_deform(app: FastAPI, handler: Handler, settings: Settings) -> None:
         answer = await _unless_disconnected(request, handler.deform(question, deadline))
         timing_ms = {"parse": 1e3 * (parsed - received)}
         request_id: str = request.state.request_id
-        if convert.is_heavy(question) or media_type != JSON:
+        if replies.is_heavy(question) or media_type != JSON:
             encoded = await asyncio.to_thread(
                 _encoded, answer, question.outputs, request_id, media_type, timing_ms, received
             )
@@ -130,10 +130,10 @@ def _encoded(
     if media_type == NPZ:
         # The archive's timings are those up to its writing: it cannot be timed before it is closed.
         stop()
-        return convert.reply_npz(answer.result, outputs, request_id, timing_ms)
-    document = convert.reply_document(answer.result, outputs, request_id)
+        return replies.reply_npz(answer.result, outputs, request_id, timing_ms)
+    document = replies.reply_document(answer.result, outputs, request_id)
     stop()
-    return convert.reply_json(document, timing_ms)
+    return replies.reply_json(document, timing_ms)
 
 
 async def _unless_disconnected(request: Request, answer: Any) -> Answer[DeformResult]:

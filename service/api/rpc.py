@@ -6,7 +6,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Mapping
 
-from service.api import convert, rpc_convert
+from service.api import convert, replies, rpc_convert
 from service.api.generated import deformation_pb2 as pb
 from service.api.handler import Handler
 from service.api.rpc_call import Calls, Context
@@ -84,7 +84,7 @@ class DeformationService:
         span: Span,
     ) -> pb.DeformResponse:
         began = time.perf_counter()
-        if convert.is_heavy(question):
+        if replies.is_heavy(question):
             response = await asyncio.to_thread(
                 rpc_convert.deform_response, answer.result, question.outputs, request_id
             )

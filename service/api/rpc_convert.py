@@ -17,9 +17,9 @@ from google.rpc import error_details_pb2, status_pb2
 from grpc import StatusCode
 from pydantic import ValidationError
 
-from service.api.convert import half_precision, levels
 from service.api.generated import deformation_pb2 as pb
 from service.api.problem import ValidationFailed, problem_document, validation_failed
+from service.api.replies import half_precision, levels
 from service.api.scene import scene_glb
 from service.api.schemas import DeformBody
 from service.api.status import status_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import uuid
 
-from service.api import convert
+from service.api import convert, replies
 from service.api.problem import ValidationFailed
 from service.app import build_pipeline
 from service.client import http_wire
@@ -27,7 +27,7 @@ def answer(predictor: Predictor, question: Question, max_loads: int) -> Result:
     body = convert.parse_body(json.dumps(http_wire.body(question)).encode())
     request = convert.deform_request(body, max_loads, http_wire.files(question))
     answered = predictor.predict(request)
-    document = convert.reply_document(answered, request.outputs, uuid.uuid4().hex)
+    document = replies.reply_document(answered, request.outputs, uuid.uuid4().hex)
     return http_wire.result({**document, "timing_ms": answered.timing_ms})
 
 

@@ -40,7 +40,7 @@ def test_npz_holds_everything(tmp_path):
 
 
 def test_npz_has_the_layout_of_the_services_own():
-    from service.api.convert import reply_npz
+    from service.api.replies import reply_npz
     from service.client.formats.files import npz
     from service.core.materials import Material
     from service.core.messages import DeformRequest, KnownShape, Load
