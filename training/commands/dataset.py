@@ -24,6 +24,12 @@ def add_dataset(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
     release.add_argument("--out", type=Path, required=True, help="folder of the data set")
     release.set_defaults(run=_import)
 
+    recgan = verbs.add_parser("import-recgan", help="put 3D-RecGAN's text files of voxels into a folder of views")
+    recgan.add_argument("seen", type=Path, help="folder of 2.5D grids, such as train_25d")
+    recgan.add_argument("full", type=Path, help="folder of 3D grids, such as train_3d")
+    recgan.add_argument("--out", type=Path, required=True, help="folder of the data set")
+    recgan.set_defaults(run=_import_recgan)
+
 
 def _inspect(options: argparse.Namespace) -> int:
     from training.data.contact_sheet import contact_sheet
@@ -60,4 +66,18 @@ def _import(options: argparse.Namespace) -> int:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
     print(f"{len(release)} samples", file=sys.stderr)
+    return 0
+
+
+def _import_recgan(options: argparse.Namespace) -> int:
+    from training.data.recgan import RecGanViews
+    from training.data.store import Store, StoreError
+
+    try:
+        views = RecGanViews.find(options.seen, options.full)
+        views.write(Store(options.out))
+    except StoreError as error:
+        print(f"physnet-train: {error}", file=sys.stderr)
+        return 1
+    print(f"{len(views)} views of {len(views.objects)} objects", file=sys.stderr)
     return 0
