@@ -21,7 +21,7 @@ endif
 # torch may bring CUDA along (gigabytes); TORCH_INDEX=URL names a package index with the CPU build.
 TORCH_INDEX ?=
 # Byte code is made when a module is first imported: most of what is installed never is.
-PIP_FLAGS := --disable-pip-version-check --no-input
+PIP_FLAGS := --disable-pip-version-check --no-input --no-compile
 PYTEST_FLAGS ?=
 SERVE_FLAGS ?=
 TRAIN_FLAGS ?= --help
@@ -122,17 +122,17 @@ $(BASE_PYTHON) $(FULL_PYTHON):
 
 $(BASE)/.installed-demo: pyproject.toml | $(BASE_PYTHON)
 	$(call say,$(BASE): installing the service and matplotlib)
-	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --no-compile --editable ".[pictures]"
+	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --editable ".[pictures]"
 	@touch "$@"
 
 $(BASE)/.installed-test: $(BASE)/.installed-demo
 	$(call say,$(BASE): installing pytest and friends)
-	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --no-compile --editable ".[pictures,test]"
+	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --editable ".[pictures,test]"
 	@touch "$@"
 
 $(FULL)/.installed: pyproject.toml | $(FULL_PYTHON)
 	$(call say,$(FULL): installing everything with torch; a minute or more)
-	"$(FULL_PYTHON)" -m pip $(PIP_FLAGS) install --no-compile $(if $(TORCH_INDEX),--extra-index-url "$(TORCH_INDEX)") \
+	"$(FULL_PYTHON)" -m pip $(PIP_FLAGS) install $(if $(TORCH_INDEX),--extra-index-url "$(TORCH_INDEX)") \
 		--editable ".[training,cluster,pictures,test,oracle,lint,docs]"
 	@touch "$@"
 
