@@ -20,8 +20,7 @@ endif
 
 # torch may bring CUDA along (gigabytes); TORCH_INDEX=URL names a package index with the CPU build.
 TORCH_INDEX ?=
-# Byte code is made when a module is first imported: most of what is installed never is.
-PIP_FLAGS := --disable-pip-version-check --no-input --no-compile
+PIP_FLAGS := --disable-pip-version-check --no-input
 PYTEST_FLAGS ?=
 SERVE_FLAGS ?=
 TRAIN_FLAGS ?= --help
