@@ -34,6 +34,7 @@ from service.bench.question import SAMPLE, sample_question
 from service.bench.targets import make_target
 from service.client import Camera, PhysNetClient, Push
 from service.commands.bench import against_graphs
+from service.core.camera import make_intrinsics, pixel_to_point
 from service.settings import Settings
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -153,12 +154,12 @@ def _tritonclient(questions: int = 200) -> dict[str, Any]:
         print("tritonclient is not installed (pip install tritonclient[grpc]): left out")
         return {}
     depth_m = cv2.imread(str(SAMPLE / "depth.png"), cv2.IMREAD_UNCHANGED).astype(np.float32) / np.float32(1e3)
-    camera = json.loads((SAMPLE / "intrinsics.json").read_text("utf-8"))
+    camera = make_intrinsics(**json.loads((SAMPLE / "intrinsics.json").read_text("utf-8")))
     arrays = {
         "depth_m": depth_m,
-        "intrinsics_px": np.array([camera[name] for name in ("fx", "fy", "cx", "cy")]),
+        "intrinsics_px": np.array([camera.fx, camera.fy, camera.cx, camera.cy]),
         "material": np.array([2.6e5, 0.49]),
-        "contact_m": _contact_m(depth_m, camera, 365, 215)[None],
+        "contact_m": pixel_to_point(365, 215, depth_m, camera)[None],
         "force_n": np.array([[0.0, 6.0, 24.0]]),
     }
     inputs = []
@@ -194,11 +195,6 @@ def _k6(duration_s: float, rate_hz: float = 30.0) -> dict[str, Any]:
     duration = metrics["http_req_duration"]
     failed_share = metrics["http_req_failed"]["value"]
     return {"rate_hz": rate_hz, "p50_ms": duration["med"], "p99_ms": duration["p(99)"], "failed_share": failed_share}
-
-
-def _contact_m(depth_m: np.ndarray, camera: dict[str, float], u: int, v: int) -> np.ndarray:
-    z = float(depth_m[v, u])
-    return np.array([(u - camera["cx"]) * z / camera["fx"], (v - camera["cy"]) * z / camera["fy"], z])
 
 
 def _percentiles(times_ms: list[float]) -> dict[str, float]:

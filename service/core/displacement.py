@@ -6,10 +6,11 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
+from service.core.extent import Voxel, filled_range
 from service.core.prior_field import FIELD_SIZE
 
 Field: TypeAlias = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
@@ -19,7 +20,6 @@ Lattice: TypeAlias = Float32[np.ndarray, "axis=3 s s s"]
 Corner: TypeAlias = tuple[float, float, float]
 Box: TypeAlias = tuple[Corner, Corner]
 Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
-Voxel: TypeAlias = tuple[int, int, int]
 
 
 def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> Field:
@@ -54,12 +54,6 @@ def body_box(rest: Occupancy) -> Box:
     return (x0 / GRID_SIZE, y0 / GRID_SIZE, z0 / GRID_SIZE), (x1 / GRID_SIZE, y1 / GRID_SIZE, z1 / GRID_SIZE)
 
 
-def filled_range(occupancy: Occupancy) -> tuple[Voxel, Voxel] | None:
-    """First voxel along each axis and the one after the last; None where there is none."""
-    first, end = _filled_range(np.ascontiguousarray(occupancy).view(np.uint8))
-    return (first, end) if end[0] else None
-
-
 def _reached(body: Box, backward: Field, correction: Lattice) -> tuple[Voxel, Voxel]:
     """The nodes around all places that some displacement there is could carry the body to."""
     ends = []
@@ -75,24 +69,6 @@ def _reached(body: Box, backward: Field, correction: Lattice) -> tuple[Voxel, Vo
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _NEXT = np.uintp(1)
 _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
-
-
-@compiled
-def _filled_range(occupancy: UInt8[np.ndarray, "x=64 y=64 z=64"]) -> tuple[Voxel, Voxel]:
-    above = np.zeros(GRID_SIZE, np.uint8)
-    low_x, low_y, low_z, end_x, end_y, end_z = GRID_SIZE, GRID_SIZE, GRID_SIZE, 0, 0, 0
-    for x in range(GRID_SIZE):
-        for y in range(GRID_SIZE):
-            some = np.uint8(0)
-            for z in range(GRID_SIZE):
-                some |= occupancy[x, y, z]
-                above[z] |= occupancy[x, y, z]
-            if some:
-                low_x, end_x, low_y, end_y = min(low_x, x), x + 1, min(low_y, y), max(end_y, y + 1)
-    for z in range(GRID_SIZE):
-        if above[z]:
-            low_z, end_z = min(low_z, z), z + 1
-    return (low_x, low_y, low_z), (end_x, end_y, end_z)
 
 
 @compiled

@@ -12,12 +12,12 @@ from jaxtyping import Bool, Float32, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.compiled import compiled
-from service.core.displacement import Field, filled_range
+from service.core.displacement import Field
+from service.core.extent import Voxel, filled_range
 from service.core.prior_field import FIELD_SIZE
 from service.core.smoothing import smoothed, sure_of
 
 Displacement: TypeAlias = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
-Voxel: TypeAlias = tuple[int, int, int]
 Range: TypeAlias = tuple[int, int]
 """First voxel along an axis, and the one after the last."""
 Layer: TypeAlias = Bool[np.ndarray, "x=64 y=64"]

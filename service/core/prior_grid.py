@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float32, Float64, Int, UInt64
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
+from service.core.extent import filled_range
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
@@ -67,7 +68,10 @@ class CellGrid:
         Raises:
             ValueError: The body is empty.
         """
-        low_index, high_index = _bounds(occupancy)
+        filled = filled_range(occupancy)
+        if filled is None:
+            raise ValueError("an empty body has no elastic solution: the occupancy holds no voxel")
+        low_index, high_index = map(np.array, filled)
         low, high = low_index / GRID_SIZE, high_index / GRID_SIZE
         extent = high - low
         width = (extent.prod() / cells) ** (1.0 / 3.0)
@@ -201,17 +205,6 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 def column_words(occupancy: Occupancy) -> UInt64[np.ndarray, "x y"]:
     """The voxels of every column along z as the bits of a word, the lowest first."""
     return np.packbits(np.ascontiguousarray(occupancy), axis=2, bitorder="little").view("<u8")[:, :, 0]
-
-
-def _bounds(occupancy: Occupancy) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
-    """First voxel of the bounding box and one past its last, along each axis."""
-    words = column_words(occupancy)
-    above = np.bitwise_or.reduce(words, axis=None, keepdims=True)
-    if not above.any():
-        raise ValueError("an empty body has no elastic solution: the occupancy holds no voxel")
-    filled = [words.any(axis=1), words.any(axis=0), np.unpackbits(above.view(np.uint8).ravel(), bitorder="little")]
-    index = [np.flatnonzero(each) for each in filled]
-    return np.array([each[0] for each in index]), np.array([each[-1] + 1 for each in index])
 
 
 @lru_cache(maxsize=512)

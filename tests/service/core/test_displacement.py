@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from service.core.displacement import body_box, corrected, filled_range
+from service.core.displacement import body_box, corrected
+from service.core.extent import filled_range
 
 STEPS = (np.arange(32) + 0.5) / 32
 CENTRES = np.stack(np.meshgrid(STEPS, STEPS, STEPS, indexing="ij")).astype(np.float32)
