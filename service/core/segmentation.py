@@ -42,6 +42,10 @@ MAX_EXTENT_M = 0.5
 MASK_TOLERANCES = 0.5
 """The same for points of a mask, which says itself what is object; the rest is the mask's bleeding onto the table."""
 
+STRAY_SHARE = 0.01
+"""A part of a mask beside its largest one with less than this share of that one's points is stray: readings at the
+object's edge that lie between it and what is behind it."""
+
 FACE_SHARE = 0.1
 """With nothing above a plane and this share of the readings below it, the plane is no support."""
 
@@ -242,7 +246,8 @@ def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:
     # The far side of a deep cup is seen apart from its near side, at most one diameter behind it.
     reach_m = np.linalg.norm(high - low)
     gap_m = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
-    return np.asarray(main | (gap_m < reach_m), np.bool_)
+    large = counts >= STRAY_SHARE * counts.max()
+    return np.asarray((gap_m == 0.0) | (large[labels] & (gap_m < reach_m)), np.bool_)
 
 
 def _finish(

@@ -108,6 +108,23 @@ def test_mask_drops_a_wall_behind_the_object() -> None:
     assert iou(found.pixels, scene.shown == 0) > 0.95
 
 
+def test_mask_drops_readings_that_float_behind_the_edge() -> None:
+    mask = TABLE_AND_TWO.shown == 0
+    depth_m = TABLE_AND_TWO.depth_m.copy()
+    v, u = np.nonzero(mask)
+    floating = np.zeros_like(mask)
+    floating[v.min() + 10 : v.min() + 30, u.max()] = True  # at half its height and more, 8 cm behind it
+    depth_m[floating] = depth_m[mask].max() + 0.08
+    found = segment(depth_m, CAMERA, mask=mask | floating)
+    assert not found.pixels[floating].any()
+    assert iou(found.pixels, mask & ~floating) > 0.95
+
+
+def test_mask_keeps_a_large_part_seen_apart() -> None:
+    mask = (TABLE_AND_TWO.shown == 0) | (TABLE_AND_TWO.shown == 1)
+    assert iou(segment(TABLE_AND_TWO.depth_m, CAMERA, mask=mask).pixels, mask) > 0.93
+
+
 def test_wall_larger_than_the_table_is_not_the_support() -> None:
     scene = render([CUBE, Box((-2.0, 0.2, 0.0), (2.0, 0.3, 2.0))], table=(0.4, 0.3), pitch_deg=15.0, noise_m=0.001)
     assert (scene.shown == 1).sum() > (scene.shown == -1).sum()
