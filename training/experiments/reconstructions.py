@@ -4,6 +4,10 @@ The views are those of a `views` set's split, or noisy ones drawn of meshes, whi
 
     python -m training.experiments.reconstructions MODEL OTHER --views data/views
     python -m training.experiments.reconstructions MODEL --meshes ../shared/data/real/meshes
+
+or bodies under one circumstance after the other, see `training.experiments.conditions`:
+
+    python -m training.experiments.reconstructions MODEL --conditions 100
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from service.core.voxels import cover
 from training.data.batches import split_of
 from training.data.store import Store
 from training.data.views import HOLLOW, ViewsConfig, draw_view
+from training.experiments.conditions import CIRCUMSTANCES, views_under
 from training.metrics import iou, visible_and_occluded_iou
 from training.simulation.grid_body import sampled, scaled
 from training.simulation.mesh import MeshError, mesh_shape
@@ -100,6 +105,12 @@ def views_of_meshes(folder: Path, views: int, seed: int = 0) -> Iterator[View]:
                 yield View(("all", path.stem), found[0].observed, found[0].free, found[1])
 
 
+def views_of_conditions(bodies: int) -> Iterator[View]:
+    """Bodies of all families in turn, each under every circumstance."""
+    for circumstance, view, truth in views_under(CIRCUMSTANCES, bodies):
+        yield View((circumstance.name,), view.observed, view.free, truth)
+
+
 def compare(models: Sequence[Served], views: Iterator[View]) -> dict[str, list[list[float]]]:
     """For every kind and model: views, IoU, its 10th percentile, IoU where the surface was seen and where it was not.
 
@@ -142,6 +153,7 @@ def main(arguments: list[str] | None = None) -> int:
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--views", type=Path, help="a `views` set")
     source.add_argument("--meshes", type=Path, help="a folder of OBJ files, z up, in metres")
+    source.add_argument("--conditions", type=int, metavar="BODIES", help="noise and viewpoints, for that many bodies")
     parser.add_argument("--split", default="test")
     parser.add_argument("--most", type=int, help="an even part of the split")
     parser.add_argument("--each", type=int, default=12, help="views of each mesh")
@@ -149,6 +161,8 @@ def main(arguments: list[str] | None = None) -> int:
     models = [Served(folder) for folder in options.models]
     if options.views:
         views = views_of_set(options.views, options.split, options.most)
+    elif options.conditions:
+        views = views_of_conditions(options.conditions)
     else:
         views = views_of_meshes(options.meshes, options.each)
     print(table(models, compare(models, views)))

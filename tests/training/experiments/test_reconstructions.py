@@ -7,8 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import scipy.ndimage
 
 from tests.training import tiny
+from training.experiments.conditions import CIRCUMSTANCES, views_under
 from training.experiments.reconstructions import Served, View, compare, table, views_of_meshes, views_of_set
 from training.export import export_model
 
@@ -67,3 +69,19 @@ def test_meshes_are_seen_at_their_size_and_open_ones_left_out(tmp_path: Path, ca
     assert [view.kinds for view in views] == [("all", "a")]
     assert views[0].truth.sum() > 3000
     assert "b.obj" in capsys.readouterr().err
+
+
+def test_every_circumstance_shows_the_same_body_otherwise() -> None:
+    found = list(views_under((*CIRCUMSTANCES[:3], CIRCUMSTANCES[-1]), bodies=1))
+    assert [circumstance.name for circumstance, _, _ in found] == [
+        each.name for each in (*CIRCUMSTANCES[:3], CIRCUMSTANCES[-1])
+    ]
+    views = {circumstance.name: view for circumstance, view, _ in found}
+    assert len({view.observed.tobytes() for view in views.values()}) == 4
+    for _, view, truth in found:
+        near = scipy.ndimage.binary_dilation(truth, iterations=3)
+        assert near[view.observed].mean() > 0.95  # truth and view stand in one grid
+        assert not (truth & view.free).sum() > 0.05 * truth.sum()
+    # Farther away fewer voxels are hit, nearer more.
+    seen = views[CIRCUMSTANCES[1].name].observed.sum()
+    assert views[CIRCUMSTANCES[-1].name].observed.sum() > 0.8 * seen
