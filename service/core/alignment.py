@@ -5,15 +5,19 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64, UInt8
+from jaxtyping import Float32, Float64, Int32, Int64, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.compiled import compiled
 from service.core.errors import EmptyObject
-from service.core.grids import Grid, invert_rigid
+from service.core.grids import Grid, cross, invert_rigid
 from service.core.lookup import between
 
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
+Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
+"""The same bytes, eight voxels in one number."""
+Columns: TypeAlias = Int32[np.ndarray, "x=64 y=64 sum=6"]
+"""Of a body's voxels with one x and one y: how many there are, the sums of z, z² and z³, the lowest and highest z."""
 Padded: TypeAlias = Float32[np.ndarray, " voxels=287496"]
 """64³ voxels with one of zeros on every side, in C order."""
 
@@ -43,11 +47,11 @@ def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_fl
     Raises:
         EmptyObject: No voxel is occupied.
     """
-    mean, spread = _moments(occupancy)
+    columns, mean, spread = _moments(occupancy)
     upright = np.eye(3) if up is None else _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
     horizontal = upright[:, :2]
     _, axes = np.linalg.eigh(horizontal.T @ spread @ horizontal)  # ascending variance, one axis a column
-    return _enclosing_grid(occupancy, grid, mean, horizontal @ axes[:, 1], upright[:, 2], on_floor)
+    return _enclosing_grid(columns, grid, mean, horizontal @ axes[:, 1], upright[:, 2], on_floor)
 
 
 def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
@@ -59,12 +63,12 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
     Raises:
         EmptyObject: No voxel is occupied.
     """
-    mean, spread = _moments(occupancy)
+    columns, mean, spread = _moments(occupancy)
     _, axes = np.linalg.eigh(spread)
     nearest = int(np.argmax(np.abs(axes[2])))
     z = axes[:, nearest] * np.sign(axes[2, nearest])
     x = axes[:, max(i for i in range(3) if i != nearest)]
-    return _enclosing_grid(occupancy, grid, mean, x, z, on_floor=False)
+    return _enclosing_grid(columns, grid, mean, x, z, on_floor=False)
 
 
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
@@ -82,17 +86,19 @@ def resample(probability: Probability, source: Grid, target: Grid) -> Probabilit
     return result
 
 
-def _moments(occupancy: Occupancy) -> tuple[Vector3, Matrix3]:
-    """Mean of the filled voxels' indices, and the matrix of their second moments about it times a number.
+def _moments(occupancy: Occupancy) -> tuple[Columns, Vector3, Matrix3]:
+    """The body's columns, mean of the filled voxels' indices, and their second moments about it times a number.
 
     Raises:
         EmptyObject: No voxel is filled.
     """
-    count, first, second = _sums(np.ascontiguousarray(occupancy).view(np.uint8))
+    filled = np.ascontiguousarray(occupancy)
+    columns = np.zeros((GRID_SIZE, GRID_SIZE, 6), np.int32)
+    count, first, second = _sums(filled.view(np.uint8), filled.view(np.uint64), columns)
     if count == 0:
         raise EmptyObject("The reconstruction is empty: no voxel of the object is left to align.", field="depth")
     # In integers: rounding must not choose the axes of a body that is as wide as it is deep.
-    return first / count, (count * second - np.outer(first, first)).astype(np.float64)
+    return columns, first / count, (count * second - np.outer(first, first)).astype(np.float64)
 
 
 def _rotation_with_z(z: Vector3) -> Matrix3:
@@ -101,15 +107,13 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
     helper = np.eye(3)[int(np.argmin(np.abs(z)))]
     x = helper - (helper @ z) * z
     x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    return np.stack([x, cross(z, x), z], axis=1)
 
 
-def _enclosing_grid(occupancy: Occupancy, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
+def _enclosing_grid(columns: Columns, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
     """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
-    source_from_body = np.stack([x, np.cross(z, x), z], axis=1)
-    low, high, third_moment = _extent(
-        np.ascontiguousarray(occupancy).view(np.uint8), source_from_body.T.copy(), float(x @ (mean + 0.5))
-    )
+    source_from_body = np.stack([x, cross(z, x), z], axis=1)
+    low, high, third_moment = _extent(columns, source_from_body.T.copy(), float(x @ (mean + 0.5)))
     if third_moment < 0.0:
         source_from_body[:, :2] *= -1.0
         low[:2], high[:2] = -high[:2], -low[:2]
@@ -125,21 +129,34 @@ def _enclosing_grid(occupancy: Occupancy, grid: Grid, mean: Vector3, x: Vector3,
     return Grid(pitch_m=edge_m / GRID_SIZE, camera_from_grid=grid.camera_from_grid @ source_from_grid)
 
 
-_ZERO, _ONE, _NEXT = np.float32(0.0), np.float32(1.0), np.uintp(1)
+_ZERO, _ONE, _NEXT, _NONE = np.float32(0.0), np.float32(1.0), np.uintp(1), np.int32(0)
 
 
 @compiled
-def _sums(occupancy: Bytes) -> tuple[int, Int64[np.ndarray, "3"], Int64[np.ndarray, "3 3"]]:
-    """Number of the filled voxels, sum of their indices i, and of the products i iᵀ."""
+def _sums(
+    occupancy: Bytes, eights: Eights, columns: Columns
+) -> tuple[int, Int64[np.ndarray, "3"], Int64[np.ndarray, "3 3"]]:
+    """Number of the filled voxels, sum of their indices i, and of the products i iᵀ; and the sums of each column."""
     count, first, second = 0, np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
-            n, along, squared = 0, 0, 0
+            filled = np.uint64(0)
+            for eight in range(GRID_SIZE // 8):
+                filled |= eights[x, y, eight]
+            if filled == 0:
+                continue
+            n, along, squared, cubed, low, high = _NONE, _NONE, _NONE, _NONE, np.int32(GRID_SIZE), _NONE
             for z in range(GRID_SIZE):
-                n += occupancy[x, y, z]
-                along += occupancy[x, y, z] * z
-                squared += occupancy[x, y, z] * (z * z)
-            count += n
+                one, place = np.int32(occupancy[x, y, z]), np.int32(z)
+                n = np.int32(n + one)
+                along = np.int32(along + one * place)
+                squared = np.int32(squared + one * place * place)
+                cubed = np.int32(cubed + one * place * place * place)
+                low = min(low, place if one else np.int32(GRID_SIZE))
+                high = max(high, place if one else _NONE)
+            columns[x, y, 0], columns[x, y, 1], columns[x, y, 2], columns[x, y, 3] = n, along, squared, cubed
+            columns[x, y, 4], columns[x, y, 5] = low, high
+            count += int(n)
             first[0] += n * x
             first[1] += n * y
             first[2] += along
@@ -155,24 +172,24 @@ def _sums(occupancy: Bytes) -> tuple[int, Int64[np.ndarray, "3"], Int64[np.ndarr
 
 @compiled
 def _extent(
-    occupancy: Bytes, axes: Matrix3, middle: float
+    columns: Columns, axes: Matrix3, middle: float
 ) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"], float]:
     """Lowest and highest centre along each axis, and the third moment about the middle along the first; in voxels."""
     low, high, third_moment = np.full(3, np.inf), np.full(3, -np.inf), 0.0
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
-            first, last = GRID_SIZE, -1
-            start = axes[0, 0] * (x + 0.5) + axes[0, 1] * (y + 0.5) - middle
-            for z in range(GRID_SIZE):
-                if occupancy[x, y, z]:
-                    first, last = min(first, z), z
-                    off = start + axes[0, 2] * (z + 0.5)
-                    third_moment += off * off * off
-            if last < 0:
+            n, along, squared, cubed = columns[x, y, 0], columns[x, y, 1], columns[x, y, 2], columns[x, y, 3]
+            lowest, highest = columns[x, y, 4], columns[x, y, 5]
+            if n == 0:
                 continue
+            # Σ (off + step z)³ over the filled voxels.
+            off, step = axes[0, 0] * (x + 0.5) + axes[0, 1] * (y + 0.5) + axes[0, 2] * 0.5 - middle, axes[0, 2]
+            third_moment += off * off * (off * n + 3.0 * step * along) + step * step * (
+                3.0 * off * squared + step * cubed
+            )
             for axis in range(3):
                 start = axes[axis, 0] * (x + 0.5) + axes[axis, 1] * (y + 0.5)
-                bottom, top = start + axes[axis, 2] * (first + 0.5), start + axes[axis, 2] * (last + 0.5)
+                bottom, top = start + axes[axis, 2] * (lowest + 0.5), start + axes[axis, 2] * (highest + 0.5)
                 low[axis], high[axis] = min(low[axis], bottom, top), max(high[axis], bottom, top)
     return low, high, third_moment
 
@@ -198,15 +215,26 @@ def _resample(padded: Padded, steps: Matrix3, origin: Vector3, result: Probabili
 
 @compiled
 def _resample_upright(source: Probability, steps: Matrix3, origin: Vector3, result: Probability) -> None:
-    """The same where centres above each other stay above each other: whole columns between columns of the source."""
+    """The same where centres above each other stay above each other: whole columns between columns of the source.
+
+    Above a body there are zeros, so each column is followed only as far up as one of the four around it is.
+    """
     column = np.zeros(GRID_SIZE + 2, np.float32)  # a zero below the lowest voxel, and one above the highest
-    below, weight = np.empty(GRID_SIZE, np.uintp), np.empty(GRID_SIZE, np.float32)
-    first, end = GRID_SIZE, 0
+    below, weight = np.zeros(GRID_SIZE, np.uintp), np.zeros(GRID_SIZE, np.float32)
+    ends = np.zeros(GRID_SIZE + 1, np.int64)  # where a column of the result ends if the source's does after so many
     for k in range(GRID_SIZE):
         z = origin[2] + steps[2, 2] * k + 1.0
         if 0.0 < z < GRID_SIZE + 1:
-            first, end = min(first, k), k + 1
             below[k], weight[k] = np.uintp(z), np.float32(z - np.floor(z))
+            for reached in range(int(below[k]), GRID_SIZE + 1):
+                ends[reached] = k + 1
+    tops = np.empty((GRID_SIZE, GRID_SIZE), np.int32)
+    for p in range(GRID_SIZE):
+        for q in range(GRID_SIZE):
+            top = np.int32(0)
+            for k in range(GRID_SIZE):
+                top = max(top, np.int32(k + 1) if source[p, q, k] != _ZERO else np.int32(0))
+            tops[p, q] = top
     for i in range(GRID_SIZE):
         for j in range(GRID_SIZE):
             x = origin[0] + steps[0, 0] * i + steps[0, 1] * j
@@ -220,10 +248,12 @@ def _resample_upright(source: Probability, steps: Matrix3, origin: Vector3, resu
             left, right = _ONE - b if q >= 0 else _ZERO, b if q + 1 < GRID_SIZE else _ZERO
             p_next, q_next = min(p + 1, GRID_SIZE - 1), min(q + 1, GRID_SIZE - 1)
             p, q = max(p, 0), max(q, 0)
-            for k in range(GRID_SIZE):
+            top = max(tops[p, q], tops[p, q_next], tops[p_next, q], tops[p_next, q_next])
+            for k in range(top):
                 column[k + 1] = before * (left * source[p, q, k] + right * source[p, q_next, k]) + behind * (
                     left * source[p_next, q, k] + right * source[p_next, q_next, k]
                 )
-            for k in range(first, end):
+            column[top + 1] = _ZERO
+            for k in range(ends[top]):
                 lower = column[below[k]]
                 result[i, j, k] = lower + weight[k] * (column[below[k] + _NEXT] - lower)

@@ -47,6 +47,12 @@ def invert_rigid(b_from_a: Transform) -> Transform:
     return a_from_b
 
 
+def cross(a: Vector3, b: Vector3) -> Vector3:
+    """Cross product a × b, without the time that `np.cross` needs to find out which axes its arguments have."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+
+
 def transform_points(b_from_a: Transform, points_a: Points) -> Points:
     """Apply a rigid transform to n points."""
     rotation = b_from_a[:3, :3].astype(np.float32)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64, Int
 
-from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Transform, Vector3
+from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Probability, Transform, Vector3
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
-from service.core.grids import Grid, centres_seen_from
+from service.core.grids import Grid, centres_seen_from, cross
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -25,6 +25,9 @@ OUTLIER_PERCENTILE = 0.5
 FREE_MARGIN_VOXELS = 1.0
 """A voxel is free only if the ray passes its centre by this much before it hits: the centre of a voxel that holds a
 surface point lies at most √3/2 voxels before it."""
+
+_BLOCK = 256
+"""Points that are taken at a time."""
 
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
@@ -51,12 +54,27 @@ class VoxelView:
         A camera that stands higher than all it sees of the object sees its highest point too: what could hide it would
         be higher still. One layer is left for readings that are missing along the rim.
         """
-        seen = np.flatnonzero(self.observed.any(axis=(0, 1)))
+        # One axis after the other takes a sixth of the time of both at once.
+        seen = np.flatnonzero(self.observed.any(axis=0).any(axis=0))
         if len(seen) == 0:
             return GRID_SIZE
         above = int(seen[-1]) + 1
         camera_height = float(self.grid.grid_from_camera[2, 3]) / self.grid.pitch_m
         return min(above + 1, GRID_SIZE) if camera_height > above else GRID_SIZE
+
+
+def rule_out(probability: Probability, view: VoxelView) -> None:
+    """Put zero where the view says that there is no object: in free voxels, and above its `layers`."""
+    _rule_out(probability, view.free, view.layers)
+
+
+@compiled
+def _rule_out(probability: Probability, free: Occupancy, layers: int) -> None:
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            for k in range(GRID_SIZE):
+                empty = free[i, j, k] or k >= layers
+                probability[i, j, k] = np.float32(0.0) if empty else probability[i, j, k]
 
 
 def view_axes(up: Vector3) -> Transform:
@@ -70,7 +88,7 @@ def view_axes(up: Vector3) -> Transform:
         x = image_top - (image_top @ z) * z
     x /= np.linalg.norm(x)
     camera_from_view = np.eye(4)
-    camera_from_view[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    camera_from_view[:3, :3] = np.stack([x, cross(z, x), z], axis=1)
     return camera_from_view
 
 
@@ -85,9 +103,8 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
     camera_from_view = view_axes(up)
     local = np.empty((3, len(points)), np.float32)
     _rotate(points, camera_from_view[:3, :3].astype(np.float32), local)
-    local.sort(axis=1)
-    low, high = (_percentile(local, percentile) for percentile in (OUTLIER_PERCENTILE, 100.0 - OUTLIER_PERCENTILE))
-    low[2] = -support_offset_m
+    low = np.array([_without_outliers(local[0]), _without_outliers(local[1]), -support_offset_m])
+    high = np.array([-_without_outliers(-along) for along in local])
     edge_m = EDGE_OVER_EXTENT * max(float((high - low).max()), 1e-3)
     corner = np.array([low[0] - FRONT_MARGIN * edge_m, (low[1] + high[1] - edge_m) / 2, low[2]])
     camera_from_view[:3, 3] = camera_from_view[:3, :3] @ corner
@@ -97,10 +114,23 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
 @compiled
 def _rotate(points: Points, axes: Float32[np.ndarray, "3 axis=3"], local: Float32[np.ndarray, "axis=3 n"]) -> None:
     """Coordinates of points along the columns of a rotation."""
-    for point in range(len(points)):
-        x, y, z = points[point, 0], points[point, 1], points[point, 2]
-        for axis in range(3):
-            local[axis, point] = axes[0, axis] * x + axes[1, axis] * y + axes[2, axis] * z
+    for axis in range(3):
+        a, b, c = axes[0, axis], axes[1, axis], axes[2, axis]
+        for point in range(len(points)):
+            local[axis, point] = a * points[point, 0] + b * points[point, 1] + c * points[point, 2]
+
+
+def _without_outliers(values: Float32[np.ndarray, " n"]) -> float:
+    """The value at `OUTLIER_PERCENTILE`, as `np.percentile` finds it, though only the lowest values are sorted."""
+    place = OUTLIER_PERCENTILE / 100.0 * (len(values) - 1)
+    below = int(place)
+    share = place - below
+    # A sixteenth of the values tells about how low the wanted one is: this far in, about twice as many are lower.
+    few = np.sort(values[::16])
+    lowest = values[values <= few[min(below // 8 + 4, len(few) - 1)]]
+    ascending = np.sort(lowest if len(lowest) > below + 1 else values)
+    above = min(below + 1, len(ascending) - 1)
+    return float((1.0 - share) * ascending[below] + share * ascending[above])
 
 
 def voxelize_points(points: Points, grid: Grid) -> Occupancy:
@@ -113,15 +143,29 @@ def voxelize_points(points: Points, grid: Grid) -> Occupancy:
 
 @compiled
 def _mark(points: Points, t: Float32[np.ndarray, "4 4"], pitch_m: np.float32, occupied: Occupancy) -> None:
-    """Mark the voxels that hold a point; t is the transform grid_from_camera."""
-    size, per_m = np.float32(GRID_SIZE), np.float32(1.0) / pitch_m
-    for point in range(len(points)):
-        x, y, z = points[point, 0], points[point, 1], points[point, 2]
-        i = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_m
-        j = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_m
-        k = (t[2, 0] * x + t[2, 1] * y + t[2, 2] * z + t[2, 3]) * per_m
-        if 0.0 <= i < size and 0.0 <= j < size and 0.0 <= k < size:
-            occupied[int(i), int(j), int(k)] = True
+    """Mark the voxels that hold a point; t is the transform grid_from_camera.
+
+    A block of points at a time is laid out axis by axis, so that eight are found at once.
+    """
+    size, nothing, per_m = np.float32(GRID_SIZE), np.float32(0.0), np.float32(1.0) / pitch_m
+    across, voxel, voxels = np.empty((3, _BLOCK), np.float32), np.empty(_BLOCK, np.int32), occupied.ravel()
+    for first in range(0, len(points), _BLOCK):
+        count = min(_BLOCK, len(points) - first)
+        for point in range(count):
+            for axis in range(3):
+                across[axis, point] = points[first + point, axis]
+        for point in range(count):
+            x, y, z = across[0, point], across[1, point], across[2, point]
+            i = (t[0, 0] * x + t[0, 1] * y + t[0, 2] * z + t[0, 3]) * per_m
+            j = (t[1, 0] * x + t[1, 1] * y + t[1, 2] * z + t[1, 3]) * per_m
+            k = (t[2, 0] * x + t[2, 1] * y + t[2, 2] * z + t[2, 3]) * per_m
+            inside = (i >= nothing) & (i < size) & (j >= nothing) & (j < size) & (k >= nothing) & (k < size)
+            i, j, k = (i if inside else nothing), (j if inside else nothing), (k if inside else nothing)
+            place = (np.int32(i) * np.int32(GRID_SIZE) + np.int32(j)) * np.int32(GRID_SIZE) + np.int32(k)
+            voxel[point] = np.int32(place) if inside else np.int32(-1)
+        for point in range(count):
+            if voxel[point] >= 0:
+                voxels[np.uint32(voxel[point])] = True
 
 
 def carve_free(depth_m: DepthImage, intrinsics: Intrinsics, grid: Grid) -> Occupancy:
@@ -195,15 +239,21 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
 @compiled
 def _cover(occupancy: Occupancy, missing: Int[np.ndarray, " n"], covered: Occupancy) -> None:
     """Fill the missing voxels, given by their place in memory, that have no filled neighbour."""
-    last = GRID_SIZE - 1
     for place in missing:
         i, j, k = place // GRID_SIZE**2, place // GRID_SIZE % GRID_SIZE, place % GRID_SIZE
-        alone = True
-        for x in range(max(i - 1, 0), min(i + 1, last) + 1):
-            for y in range(max(j - 1, 0), min(j + 1, last) + 1):
-                for z in range(max(k - 1, 0), min(k + 1, last) + 1):
-                    alone = alone and not occupancy[x, y, z]
-        covered[i, j, k] = alone
+        covered[i, j, k] = not _is_near(occupancy, i, j, k)
+
+
+@compiled
+def _is_near(occupancy: Occupancy, i: int, j: int, k: int) -> bool:
+    """Whether a voxel or one of its 26 neighbours is filled."""
+    last = GRID_SIZE - 1
+    for x in range(max(i - 1, 0), min(i + 1, last) + 1):
+        for y in range(max(j - 1, 0), min(j + 1, last) + 1):
+            for z in range(max(k - 1, 0), min(k + 1, last) + 1):
+                if occupancy[x, y, z]:
+                    return True
+    return False
 
 
 def voxelize(
@@ -212,14 +262,6 @@ def voxelize(
     """Points of the object and the whole depth image to a view grid with its three kinds of voxels."""
     grid = view_grid(points, up, support_offset_m)
     observed = voxelize_points(points, grid)
-    free = carve_free(depth_m, intrinsics, grid) & ~observed
+    free = carve_free(depth_m, intrinsics, grid)
+    np.greater(free, observed, out=free)  # free and not observed
     return VoxelView(grid=grid, observed=observed, free=free)
-
-
-def _percentile(ascending: Float32[np.ndarray, "axis=3 n"], percentile: float) -> Float64[np.ndarray, "axis=3"]:
-    """As `np.percentile` of each row, which is not told that they are sorted."""
-    place = percentile / 100.0 * (ascending.shape[1] - 1)
-    below = int(place)
-    above = min(below + 1, ascending.shape[1] - 1)
-    share = place - below
-    return np.asarray((1.0 - share) * ascending[:, below] + share * ascending[:, above], np.float64)

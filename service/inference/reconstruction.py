@@ -7,7 +7,7 @@ import onnxruntime
 
 from service.core.arrays import Probability
 from service.core.manifest import Manifest
-from service.core.voxels import VoxelView
+from service.core.voxels import VoxelView, rule_out
 
 
 class ReconstructionModel:
@@ -23,10 +23,9 @@ class ReconstructionModel:
         What was measured overrules the network: a voxel that a ray went through is empty, and so is one above all that
         was seen of the object, see `VoxelView.layers`.
         """
-        states = np.stack([view.observed, view.free]).astype(np.float32)[None]
+        states = np.empty((1, 2, *view.free.shape), np.float32)
+        states[0, 0], states[0, 1] = view.observed, view.free
         (probability,) = self._session.run(["probability"], {"view": states})
         result: Probability = probability[0]
-        # A product takes a tenth of the time of writing zeros through a mask.
-        result *= ~view.free
-        result[:, :, view.layers :] = 0.0
+        rule_out(result, view)
         return result

@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.core.grids import Grid, invert_rigid, pack_bits, transform_points, unpack_bits
+from service.core.grids import Grid, cross, invert_rigid, pack_bits, transform_points, unpack_bits
 from tests.poses import pose
 
 
@@ -18,6 +18,11 @@ def test_bits_round_trip() -> None:
     packed = pack_bits(occupancy)
     assert packed.nbytes == 32768
     np.testing.assert_array_equal(unpack_bits(packed), occupancy)
+
+
+def test_cross_product_is_numpys() -> None:
+    a, b = np.random.default_rng(1).standard_normal((2, 3))
+    np.testing.assert_array_equal(cross(a, b), np.cross(a, b))
 
 
 def test_inverse_of_a_rigid_transform() -> None:

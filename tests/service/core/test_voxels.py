@@ -10,6 +10,7 @@ from service.core.voxels import (
     VoxelView,
     carve_free,
     cover,
+    rule_out,
     view_axes,
     view_grid,
     voxelize,
@@ -123,6 +124,42 @@ def test_points_outside_the_grid_are_left_out() -> None:
     occupied = voxelize_points(np.array([[0.05, 0.15, 0.25], [-0.01, 0.1, 0.1], [6.5, 0.1, 0.1]], np.float32), grid)
     assert occupied.sum() == 1
     assert occupied[0, 1, 2]
+
+
+def test_each_point_marks_its_own_voxel() -> None:
+    rng = np.random.default_rng(2)
+    points = rng.uniform(-1.0, 7.5, (1000, 3)).astype(np.float32)
+    index = np.floor(points.astype(np.float64) / 0.1).astype(int)
+    expected = np.zeros((64, 64, 64), bool)
+    expected[tuple(index[((index >= 0) & (index < 64)).all(axis=1)].T)] = True
+    found = voxelize_points(points, Grid(pitch_m=0.1, camera_from_grid=np.eye(4)))
+    assert expected.sum() > 400
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize("n", [1, 2, 40, 5000])
+def test_stray_points_do_not_stretch_the_grid(n: int) -> None:
+    """However they are spread: against NumPy's percentiles of all the points."""
+    points = np.random.default_rng(n).standard_t(1.5, (n, 3)).astype(np.float32)  # heavy tails
+    points[::3, 0] = 1.0  # many that are equal
+    rotation = view_axes(np.array([0.0, -1.0, 0.0]))[:3, :3]
+    low, high = np.percentile(points @ rotation, [0.5, 99.5], axis=0)
+    low[2] = -0.3
+    grid = view_grid(points, np.array([0.0, -1.0, 0.0]), 0.3)
+    assert grid.edge_m == pytest.approx(EDGE_OVER_EXTENT * max((high - low).max(), 1e-3), rel=1e-5)
+    floor = rotation.T @ grid.camera_from_grid[:3, 3]
+    assert floor[0] == pytest.approx(low[0] - FRONT_MARGIN * grid.edge_m, rel=1e-4, abs=1e-5)
+
+
+def test_what_was_measured_empty_is_ruled_out_and_nothing_else() -> None:
+    rng = np.random.default_rng(3)
+    probability = rng.random((64, 64, 64), np.float32)
+    view = seen_from(80.0, top=30)
+    view = VoxelView(view.grid, view.observed, rng.random((64, 64, 64)) < 0.4)
+    ruled = probability.copy()
+    rule_out(ruled, view)
+    empty = view.free | (np.arange(64) >= 32)
+    np.testing.assert_array_equal(ruled, np.where(empty, np.float32(0.0), probability))
 
 
 def test_cover_adds_only_what_is_farther_than_a_voxel_from_the_body() -> None:
