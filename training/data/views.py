@@ -7,15 +7,16 @@ its views are rendered and its truth is read.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from service.core.arrays import DepthImage, Mask, Occupancy
+from service.core.arrays import DepthImage, Mask, Occupancy, Transform, Vector3
 from service.core.camera import Intrinsics, pixel_to_point
 from service.core.errors import EmptyObject, PhysNetError
 from service.core.grids import Grid, invert_rigid, pack_bits
-from service.core.segmentation import Segment, segment
+from service.core.segmentation import segment
 from service.core.voxels import VoxelView, voxelize
 from training.data.generate import Dropped
 from training.metrics import iou
@@ -140,26 +141,61 @@ def _longest(grid: DistanceGrid) -> float:
     return float((grid.bounds[:, 1] - grid.bounds[:, 0]).max())
 
 
-def draw_view(
-    body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator
-) -> tuple[VoxelView, Occupancy] | None:
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One noisy depth image, what a robot says with it, and what the service makes of both.
+
+    Attributes:
+        viewpoint: Where the camera stood.
+        depth_m: What the sensor read.
+        hints: The mask, `up` and contact that came with it.
+        view: Of the object, in its view grid.
+    """
+
+    viewpoint: Viewpoint
+    depth_m: DepthImage
+    hints: Hints
+    view: VoxelView
+
+    @property
+    def world_from_grid(self) -> Transform:
+        """Pose of the view grid among the bodies."""
+        return invert_rigid(self.viewpoint.camera_from_world) @ self.view.grid.camera_from_grid
+
+
+class Hints(NamedTuple):
+    """What a robot may say of the object: its pixels, the direction against gravity and a contact, camera frame."""
+
+    mask: Mask | None
+    up: Vector3 | None
+    contact_m: Vector3 | None
+
+
+def draw_view(body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator) -> tuple[VoxelView, Occupancy] | None:
     """What the service would make of one frame, and the truth in the same grid; None where it misses the object."""
+    frame = draw_frame(body, config, rng)
+    if frame is None:
+        return None
+    return frame.view, filled(body, Grid(frame.view.grid.pitch_m, frame.world_from_grid))
+
+
+def draw_frame(body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator) -> Frame | None:
+    """One frame of a body that stands on z = 0; None where the service would miss the object."""
     viewpoint = sample_viewpoint(body.bounds, rng)
-    pose = viewpoint.camera_from_world
     rendering = _scene(Shape("object", body), viewpoint, config, rng)
     if rendering.mask.sum() < SMALLEST_OBJECT_PX:
         return None
     depth_m = apply_sensor(rendering.depth_m, rng, viewpoint.intrinsics.fx, holes_near=rendering.mask)
     try:
-        found = _segment(depth_m, rendering.mask, viewpoint, config, rng)
+        hints = _hints(depth_m, rendering.mask, viewpoint, config, rng)
+        found = segment(depth_m, viewpoint.intrinsics, *hints)
     except PhysNetError:
         return None
     seen = rendering.mask & np.isfinite(depth_m)
     if found.support is None or iou(found.pixels, seen) < config.overlap:
         return None
     view = voxelize(found.points, depth_m, viewpoint.intrinsics, found.support.normal, found.support.offset_m)
-    world_from_grid = invert_rigid(pose) @ view.grid.camera_from_grid
-    return view, filled(body, Grid(view.grid.pitch_m, world_from_grid))
+    return Frame(viewpoint, depth_m, hints, view)
 
 
 def _scene(shape: Shape, viewpoint: Viewpoint, config: ViewsConfig, rng: np.random.Generator) -> Rendering:
@@ -208,22 +244,21 @@ def _hiding(
     return []
 
 
-def _segment(
+def _hints(
     depth_m: DepthImage, mask: Mask, viewpoint: Viewpoint, config: ViewsConfig, rng: np.random.Generator
-) -> Segment:
-    """Segment as a robot's request would have it: with or without a mask, `up` and an exact contact."""
+) -> Hints:
+    """As a robot's request would have them: a mask or else an exact contact, with or without `up`."""
     up = None
     if rng.random() < config.upright:
         up = viewpoint.camera_from_world[:3, 2] + np.radians(rng.uniform(0, 1)) * rng.normal(size=3) / np.sqrt(3)
         up /= np.linalg.norm(up)
     if rng.random() < config.masked:
-        return segment(depth_m, viewpoint.intrinsics, mask=_frayed(mask, rng), up=up)
+        return Hints(_frayed(mask, rng), up, None)
     rows, columns = np.nonzero(mask & np.isfinite(depth_m))
     if not len(rows):
         raise EmptyObject("the sensor gave no reading on the object")
     pick = int(rng.integers(len(rows)))
-    contact_m = pixel_to_point(float(columns[pick]), float(rows[pick]), depth_m, viewpoint.intrinsics)
-    return segment(depth_m, viewpoint.intrinsics, up=up, contact_m=contact_m)
+    return Hints(None, up, pixel_to_point(float(columns[pick]), float(rows[pick]), depth_m, viewpoint.intrinsics))
 
 
 def _frayed(mask: Mask, rng: np.random.Generator) -> Mask:

@@ -10,6 +10,7 @@ Source: Yang et al., "3D Object Reconstruction from a Single Depth View with Adv
 from __future__ import annotations
 
 import copy
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -108,17 +109,24 @@ class ReconstructionNetwork(nn.Module):
         self.detail = nn.Linear(config.detail, SIZE, bias=False)
         nn.init.zeros_(self.detail.weight)  # the coarse features answer first
 
-    def forward(self, view: Float[Tensor, "batch 2 64 64 64"]) -> Float[Tensor, "batch 64 64 64"]:
-        """Logits. `view` holds 1 where a voxel is observed (channel 0) or free (channel 1)."""
+    def forward(
+        self, view: Float[Tensor, "batch 2 64 64 64"], told: Callable[[Tensor], Tensor] = lambda x: x
+    ) -> Float[Tensor, "batch 64 64 64"]:
+        """Logits.
+
+        Args:
+            view: 1 where a voxel is observed (channel 0) or free (channel 1).
+            told: What the features become at each of seven sizes, 32² to 4² and back, where they are told of more.
+        """
         columns = view.permute(0, 2, 3, 1, 4).flatten(3)
         x: Tensor = columns
         passed = []
         for down in self.down:
-            x = down(x)
+            x = told(down(x))
             passed.append(x)
         passed.pop()
         for up, merge in zip(self.up, self.merge, strict=True):
-            x = merge(torch.cat([up(x), passed.pop()], dim=1))
+            x = told(merge(torch.cat([up(x), passed.pop()], dim=1)))
         x = x.permute(0, 2, 3, 1)
         column = self.activation(self.seen(columns) + spoken(x, self.spread))
         (head,) = self.head
