@@ -18,7 +18,7 @@ STEPS = 6
 """Of the fixed-point iteration; it halves its error or better where strains stay below a half."""
 
 _CHUNK = 256
-"""Points whose distances to all voxels are held at once: 256 × 20,000 floats are 20 MB."""
+"""Points that are held against the same voxels at once: 256 × 20,000 floats are 20 MB."""
 
 _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
 
@@ -92,12 +92,23 @@ def _interpolated(
 
 
 def _nearest(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of, and distance to, the nearest place of each point."""
-    index = np.empty(len(points), np.int64)
-    distance = np.empty(len(points), np.float32)
+    """Index of, and distance to, the nearest place of each point; infinitely far where none is within reach.
+
+    Points are taken in the order of their x with the places in a slab around them: a tenth of all, for a body.
+    """
+    index = np.zeros(len(points), np.int64)
+    distance = np.full(len(points), np.inf, np.float32)
+    order = places[:, 0].argsort()
+    places = places[order]
     squares = (places**2).sum(axis=1)
+    in_turn = points[:, 0].argsort()
     for start in range(0, len(points), _CHUNK):
-        some = points[start : start + _CHUNK]
-        index[start : start + _CHUNK] = (squares - 2.0 * some @ places.T).argmin(axis=1)
-    distance[:] = np.linalg.norm(points - places[index], axis=1)
+        chosen = in_turn[start : start + _CHUNK]
+        some = points[chosen]
+        first = places[:, 0].searchsorted(some[0, 0] - REACH_VOXELS)
+        last = places[:, 0].searchsorted(some[-1, 0] + REACH_VOXELS, side="right")
+        if first < last:
+            nearest = first + (squares[first:last] - 2.0 * some @ places[first:last].T).argmin(axis=1)
+            index[chosen] = order[nearest]
+            distance[chosen] = np.linalg.norm(some - places[nearest], axis=1)
     return index, distance

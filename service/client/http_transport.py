@@ -52,7 +52,7 @@ class HttpTransport:
         try:
             reply = self._http.request(method, path, timeout=timeout_s, **more)
         except (httpx.HTTPError, RuntimeError) as error:  # the latter where the client is closed
-            raise _failure(error, timeout_s) from error
+            raise _failure(error, timeout_s, self._http.base_url) from error
         return http_wire.decode(reply.status_code, reply.headers, reply.content)
 
 
@@ -88,7 +88,7 @@ class AsyncHttpTransport:
         except TimeoutError as error:
             raise timed_out(timeout_s) from error
         except (httpx.HTTPError, RuntimeError) as error:  # the latter where the client is closed
-            raise _failure(error, timeout_s) from error
+            raise _failure(error, timeout_s, self._http.base_url) from error
         return http_wire.decode(reply.status_code, reply.headers, reply.content)
 
 
@@ -106,8 +106,9 @@ def _deadline(timeout_s: float) -> dict[str, str]:
     return {"X-Deadline-Ms": f"{1e3 * timeout_s:.3f}"}
 
 
-def _failure(error: Exception, timeout_s: float) -> PhysNetError:
+def _failure(error: Exception, timeout_s: float, url: httpx.URL) -> PhysNetError:
     if isinstance(error, httpx.TimeoutException):
         return timed_out(timeout_s)
-    return ServiceUnreachable(f"The service cannot be reached: {error or type(error).__name__}")
+    where = str(url).rstrip("/")
+    return ServiceUnreachable(f"The service at {where} cannot be reached: {error or type(error).__name__}")
 

@@ -74,7 +74,7 @@ class Image:
     """
 
     encoding: str
-    data: bytes
+    data: bytes = field(repr=False)
     unit_m: float | None = None
 
 
@@ -105,7 +105,7 @@ class Shape:
         camera_from_grid: Rigid 4×4 transform from the grid's metric frame to the camera's.
     """
 
-    occupancy: np.ndarray
+    occupancy: np.ndarray = field(repr=False)
     voxel_size_m: float
     camera_from_grid: np.ndarray
 

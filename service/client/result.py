@@ -34,6 +34,9 @@ class Mesh:
     vertices_m: Points
     faces: Faces
 
+    def __repr__(self) -> str:
+        return f"<Mesh: {len(self.vertices_m)} vertices, {len(self.faces)} faces>"
+
 
 @dataclass(frozen=True)
 class PushResult:
@@ -59,6 +62,12 @@ class PushResult:
     load_number: float
     flags: frozenset[str]
 
+    def __repr__(self) -> str:
+        return f"<PushResult: {self._said()}>"
+
+    def _said(self) -> str:
+        return f"moves by {1e3 * self.max_displacement_m:.1f} mm at most" + _flagged(self.flags)
+
     @property
     def deformed(self) -> Occupancy:
         """The deformed body, [x, y, z].
@@ -80,7 +89,7 @@ class PushResult:
         """How far the material at points moves; camera frame, metres; NaN where there is no body.
 
         Args:
-            points_m: n × 3, camera frame, metres.
+            points_m: n × 3, camera frame, metres; NaN, as pixels without a reading become, stays NaN.
             configuration: `rest`: the points are places of the body before the push, as the camera sees it now;
                 `deformed`: places where the body is after it.
 
@@ -89,9 +98,12 @@ class PushResult:
         """
         field_m = _need(self.displacement_m, "displacement")
         points = np.asarray(points_m, np.float32).reshape(-1, 3)
-        found = displacement_at(transform_points(self.grid.grid_from_camera, points), self.deformed, field_m,
+        places = np.isfinite(points).all(axis=1)
+        found = displacement_at(transform_points(self.grid.grid_from_camera, points[places]), self.deformed, field_m,
                                 self.grid.pitch_m, configuration)  # fmt: skip
-        return np.asarray(found @ self.grid.camera_from_grid[:3, :3].T.astype(np.float32), np.float32)
+        moved = np.full_like(points, np.nan)
+        moved[places] = found @ self.grid.camera_from_grid[:3, :3].T.astype(np.float32)
+        return moved
 
 
 @dataclass(frozen=True)
@@ -123,6 +135,11 @@ class Result:
     flags: frozenset[str]
     timing_ms: dict[str, float] = field(default_factory=dict)
     reconstruction_id: str | None = None
+
+    def __repr__(self) -> str:
+        """One line: the grids themselves would fill screens."""
+        said = "; ".join(push._said() for push in self.pushes)
+        return f"<Result of {' '.join(self.model)}: {said or 'no push'}{_flagged(self.flags)}>"
 
     def __getitem__(self, push: int) -> PushResult:
         return self.pushes[push]
@@ -209,6 +226,10 @@ class Result:
         from service.client.formats.files import save
 
         return save(self, Path(path), layer, push)
+
+
+def _flagged(flags: frozenset[str]) -> str:
+    return f" [{', '.join(sorted(flags))}]" if flags else ""
 
 
 def _need(found: np.ndarray | None, output: str) -> np.ndarray:

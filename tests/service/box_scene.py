@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 from dataclasses import dataclass, field
 from typing import Any
 
 import cv2
 import numpy as np
+
+from service.api import convert
+from service.core.messages import DeformRequest
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,11 @@ class BoxScene:
         }
         body |= changes
         return {key: value for key, value in body.items() if value is not ...}
+
+
+def asked(body: dict[str, Any], files: dict[str, bytes] | None = None, max_loads: int = 8) -> DeformRequest:
+    """What the pipeline is asked where a document, and files beside it, are posted."""
+    return convert.deform_request(convert.parse_body(json.dumps(body).encode()), max_loads, files)
 
 
 def png(image: np.ndarray) -> bytes:

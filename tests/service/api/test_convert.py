@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import base64
-import json
 
 import numpy as np
 import pytest
 
-from service.api import convert
 from service.core.errors import InvalidCamera, InvalidFrame, InvalidRequest, MaterialOutOfRange, UnknownMaterial
 from service.core.messages import KnownShape, Observation
-from tests.service.box_scene import BoxScene, box_shape, npy
+from tests.service.box_scene import BoxScene, asked, box_shape, npy
 
 SCENE = BoxScene(width=32, height=24, focal_px=30.0)
-
-
-def asked(body: dict, files: dict[str, bytes] | None = None, max_loads: int = 8):
-    return convert.deform_request(convert.parse_body(json.dumps(body).encode()), max_loads, files)
 
 
 def test_a_frame_becomes_an_observation():

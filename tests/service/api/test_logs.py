@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import logging
-from collections.abc import Iterator
 from datetime import datetime
 
 import grpc
@@ -21,15 +20,11 @@ SCENE = BoxScene(width=32, height=24, focal_px=30.0)
 
 
 @pytest.fixture
-def written() -> Iterator[io.StringIO]:
-    """What is logged as JSON at `debug`; logging is as it was afterwards."""
-    root, uvicorn = logging.getLogger(), logging.getLogger("uvicorn")
-    before = (root.handlers[:], root.level, uvicorn.level)
+def written() -> io.StringIO:
+    """What is logged as JSON at `debug`."""
     stream = io.StringIO()
     configure("debug", "json", stream)
-    yield stream
-    root.handlers[:], root.level = before[0], before[1]
-    uvicorn.setLevel(before[2])
+    return stream
 
 
 def lines(written: io.StringIO) -> list[dict]:

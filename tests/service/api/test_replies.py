@@ -10,19 +10,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.api import convert, replies
+from service.api import replies
 from service.api.scene import scene_glb
 from service.api.schemas import DeformReply
-from tests.service.box_scene import BoxScene, box_shape
+from tests.service.box_scene import BoxScene, asked, box_shape
 from tests.service.fakes import fake_result
 
 SCENE = BoxScene(width=32, height=24, focal_px=30.0)
 ALL = ["reconstruction", "deformed", "probability", "displacement"]
 LOAD = SCENE.request()["loads"][0]
-
-
-def asked(body: dict, files: dict[str, bytes] | None = None, max_loads: int = 8):
-    return convert.deform_request(convert.parse_body(json.dumps(body).encode()), max_loads, files)
 
 
 def test_the_reply_fits_its_schema_and_keeps_every_voxel():

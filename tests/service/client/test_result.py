@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from service.client import NotInReply, Result
+from service.client import NotInReply, Push, Result, Shape
+from service.client.displacement import REACH_VOXELS
+from service.client.displacement import _nearest as nearest_places
+from service.client.question import question
 from tests.service.client.answers import BODY, GRID, PITCH_M, answer, in_camera, sheared
 
 RESULT = answer(loads=2)
@@ -48,6 +54,36 @@ def test_there_is_no_displacement_where_there_is_no_body():
     assert RESULT.displacement_at(np.empty((0, 3))).shape == (0, 3)
     # A single point is one of n.
     assert RESULT.displacement_at(far_m[1]).shape == (1, 3)
+    # Pixels without a reading are no places, and spoil no others.
+    with_holes = np.array([[np.nan] * 3, far_m[1], [np.inf, 0.0, 0.0]])
+    np.testing.assert_array_equal(np.isnan(RESULT.displacement_at(with_holes)).all(axis=1), [True, False, True])
+    np.testing.assert_array_equal(RESULT.displacement_at(with_holes)[1], moved[1])
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_search_for_the_nearest_voxel_leaves_none_out(seed):
+    rng = np.random.default_rng(seed)
+    places, points = (rng.uniform(0.0, 40.0, (count, 3)).astype(np.float32) for count in (900, 700))
+    index, distance = nearest_places(points, places)
+    every = np.linalg.norm(points[:, None] - places, axis=2)
+    near = every.min(axis=1) <= REACH_VOXELS
+    assert 0.2 < near.mean() < 0.8
+    np.testing.assert_array_equal(index[near], every.argmin(axis=1)[near])
+    np.testing.assert_allclose(distance[near], every.min(axis=1)[near], rtol=1e-5)
+    assert (distance[~near] > REACH_VOXELS).all()
+
+
+def test_answers_and_questions_say_themselves_in_a_line():
+    """A notebook prints what a cell ends with: no grid, no image."""
+    flagged = replace(RESULT, flags=frozenset({"up_unknown"}))
+    assert re.fullmatch(
+        r"<Result of \S+ \S+: moves by [\d.]+ mm at most.*; moves by [\d.]+ mm at most.* \[up_unknown\]>", repr(flagged)
+    )
+    assert repr(RESULT[0]).startswith("<PushResult: moves by ")
+    assert re.fullmatch(r"<Mesh: \d+ vertices, \d+ faces>", repr(RESULT.mesh()))
+    asked = question(np.ones((480, 640), np.uint16), None, Push((0, 0, 1), contact_m=(0, 0, 1)))
+    assert len(repr(asked)) < 500
+    assert len(repr(Shape(BODY, PITCH_M, np.eye(4)))) < 200
 
 
 def test_the_mesh_encloses_the_body():
