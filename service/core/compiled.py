@@ -10,28 +10,40 @@ from typing import Any, TypeVar, cast
 
 import numba
 import numpy as np
-from numba.core import event
+from numba.core import cpu, event, options
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
+# the compiler knows how to use this promise, the decorator does not pass it on
+cpu.CPUTargetOptions.noalias = options.TargetOptions.Mapping("noalias")  # type: ignore[no-untyped-call]
 
-def compiled(function: Kernel) -> Kernel:
+
+def compiled(function: Kernel, apart: bool = False, reordered: bool = False) -> Kernel:
     """Compile a function of numbers and arrays to machine code; its annotations are for the reader.
 
     The code is kept in `__pycache__`, or in the user's cache where that cannot be written, so that of many processes
     only the first compiles, and that only once; NUMBA_CACHE_DIR names another place. Where nothing can be written at
     all, every process compiles for itself. Other threads run meanwhile: kernels touch no Python object.
+
+    Args:
+        function: To be compiled.
+        apart: A promise that no array that it writes to shares memory with another of its arguments: short loops over
+            many arrays need not look whether they do.
+        reordered: Sums may be added up in another order than written, eight at once.
     """
     # the test run wraps every function in a check of its types, which the compiler cannot see through
     plain = inspect.unwrap(function)
-    options: dict[str, Any] = {"error_model": "numpy", "fastmath": {"contract"}, "nogil": True}
+    flags = {"contract", "reassoc"} if reordered else {"contract"}
+    settings: dict[str, Any] = {"error_model": "numpy", "fastmath": flags, "nogil": True}
+    if apart:
+        settings["noalias"] = True
     kernel: Any
     try:
-        kernel = numba.njit(cache=True, **options)(plain)
+        kernel = numba.njit(cache=True, **settings)(plain)
         index = kernel._cache._cache_file
         index._source_stamp = (index._source_stamp, _imported(plain.__globals__))
     except RuntimeError:  # no place to keep the code in, as on a file system that is read only
-        kernel = numba.njit(**options)(plain)
+        kernel = numba.njit(**settings)(plain)
     return cast(Kernel, kernel)
 
 

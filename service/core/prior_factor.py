@@ -1,11 +1,12 @@
 """Cholesky's method for a symmetric band matrix, compiled: eight rows at a time, so that the loops are long and busy.
 
-Rows are kept in panels of eight, only from the diagonal to the band's end. The factor is kept twice, by rows and by
-columns, so that both substitutions run along memory.
+Rows are kept in panels of eight, only from the diagonal to the band's end. Indices without a sign are not looked at for
+counting from the end.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -20,23 +21,24 @@ _LEAST_PIVOT = np.float32(1e-6)
 """Of what stood on the diagonal: a smaller pivot is rounding."""
 
 Panels = Float32[np.ndarray, "panels 8 width"]
+Panel = Float32[np.ndarray, "8 width"]
+Values = Float32[np.ndarray, " n"]
 Ends = Int[np.ndarray, " panels"]
 Eight: TypeAlias = tuple[float, float, float, float, float, float, float, float]
+
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_NEXT, _TWO, _EIGHT = np.uintp(1), np.uintp(2), np.uintp(PANEL)
 
 
 class BandFactor(NamedTuple):
     """The factor UᵀU of a symmetric positive definite band matrix.
 
     Attributes:
-        upper: Row p of panel k is row 8k + p of U, from column 8k on.
-        lower: Row p of panel k is column 8k + p of U, up to row 8k − 1, which stands at the right.
-        begins: First row of U that reaches each panel.
+        upper: Row p of panel k is row 8k + p of U, from column 8k on; on the diagonal stand the inverses.
         ends: One past the last column of each panel.
     """
 
     upper: Panels
-    lower: Panels
-    begins: Ends
     ends: Ends
 
 
@@ -52,123 +54,128 @@ def factorised(upper: Panels, ends: Ends) -> BandFactor:
 
     Source: Golub and Van Loan, Matrix Computations (2013), section 4.3.5.
     """
-    begins = PANEL * np.searchsorted(ends, PANEL * np.arange(len(ends)), side="right")
-    lower = np.zeros_like(upper)
-    if not _factorise(upper, lower, ends):
+    if not _factorise(upper, ends):
         raise np.linalg.LinAlgError("the matrix is not positive definite in single precision")
-    return BandFactor(upper, lower, begins, ends)
+    return BandFactor(upper, ends)
 
 
 @compiled
 def substitute(factor: BandFactor, values: Float32[np.ndarray, "loads dof"]) -> None:
     """Replace right-hand sides, 8 values a panel, by their solutions; a panel serves all loads while it is at hand."""
-    upper, width = factor.upper, factor.upper.shape[2]
-    for k in range(len(upper)):
-        rows, first = upper[k], PANEL * k
+    for k in range(len(factor.ends)):
+        first, end = PANEL * k, factor.ends[k]
         for load in range(len(values)):
-            own = values[load, first : first + PANEL]
-            for p in range(len(own)):
-                own[p] /= rows[p, p]
-                for q in range(p + 1, len(own)):
-                    own[q] -= rows[p, q] * own[p]
-            _subtract(values[load, first + PANEL : factor.ends[k]], _eight(own), rows, PANEL)
-    for k in range(len(upper) - 1, -1, -1):
-        rows, first, begin = upper[k], PANEL * k, factor.begins[k]
+            row = values[load]
+            _eliminate(row[first : first + PANEL], factor.upper[k], row[first + PANEL : end])
+    for k in range(len(factor.ends) - 1, -1, -1):
+        first, end = PANEL * k, factor.ends[k]
         for load in range(len(values)):
-            own = values[load, first : first + PANEL]
-            for p in range(len(own) - 1, -1, -1):
-                own[p] /= rows[p, p]
-                for q in range(p):
-                    own[q] -= rows[q, p] * own[p]
-            _subtract(values[load, begin:first], _eight(own), factor.lower[k], width - (first - begin))
+            row = values[load]
+            _substitute_back(row[first : first + PANEL], factor.upper[k], row[first + PANEL : end])
 
 
 @compiled
-def _factorise(upper: Panels, lower: Panels, ends: Ends) -> bool:
+def _factorise(upper: Panels, ends: Ends) -> bool:
     """Write the factor; False where a pivot is not positive. See `BandFactor`."""
-    width = upper.shape[2]
     least = np.empty((len(upper), PANEL), np.float32)
     for k in range(len(upper)):
         for p in range(PANEL):
             least[k, p] = _LEAST_PIVOT * upper[k, p, p]
+    rows = np.empty((PANEL, upper.shape[2]), np.float32)
     for k in range(len(upper)):
-        rows, count = upper[k], ends[k] - PANEL * k
-        if not _factorise_panel(rows, least[k], count):
+        own, count = upper[k], ends[k] - PANEL * k
+        if not _factorise_diagonal(own, least[k]):
             return False
-        for i in range(PANEL, count, 2):
-            block, inner = i // PANEL, i % PANEL
-            own, next_own, end = _column(rows, i), _column(rows, i + 1), count - PANEL * block
-            targets = upper[k + block, inner, inner:end], upper[k + block, inner + 1, inner:end]
-            _subtract_two(targets[0], targets[1], own, next_own, rows, i)
-            _set_eight(lower[k + block, inner, width - PANEL * block :], own)
-            _set_eight(lower[k + block, inner + 1, width - PANEL * block :], next_own)
+        _solve_rows(own, rows, np.uintp(count))
+        for first in range(PANEL, count, PANEL):
+            _subtract(upper[k + first // PANEL], rows, np.uintp(first), np.uintp(count - first))
+        for p in range(PANEL):
+            for j in range(PANEL, count):
+                own[p, j] = rows[p, j]
     return True
 
 
 @compiled
-def _factorise_panel(rows: Float32[np.ndarray, "8 width"], least: Float32[np.ndarray, "8"], count: int) -> bool:
-    for p in range(len(rows)):
-        pivot, row = rows[p, p], rows[p, p:count]
-        if not pivot > least[p]:
+def _factorise_diagonal(own: Panel, least: Float32[np.ndarray, "8"]) -> bool:
+    """The 8×8 block on the diagonal, with inverses on the diagonal itself."""
+    for p in range(PANEL):
+        if not own[p, p] > least[p]:
             return False
-        scale = np.float32(1.0) / np.sqrt(pivot)
-        for j in range(len(row)):
-            row[j] *= scale
-        for q in range(p + 1, len(rows)):
-            factor, row, target = rows[p, q], rows[p, q:count], rows[q, q:count]
-            for j in range(len(row)):
-                target[j] -= factor * row[j]
+        scale = _ONE / np.sqrt(own[p, p])
+        own[p, p] = scale
+        for j in range(p + 1, PANEL):
+            own[p, j] *= scale
+        for q in range(p + 1, PANEL):
+            for j in range(q, PANEL):
+                own[q, j] -= own[p, q] * own[p, j]
     return True
 
 
-@compiled
-def _subtract(
-    target: Float32[np.ndarray, " count"], share: Eight, rows: Float32[np.ndarray, "8 width"], first: int
-) -> None:
-    """Take shares of eight rows, from their place `first` on, off the target."""
-    a, b, c, d, e, f, g, h = share
-    last = first + len(target)
-    row_a, row_b, row_c, row_d = rows[0, first:last], rows[1, first:last], rows[2, first:last], rows[3, first:last]
-    row_e, row_f, row_g, row_h = rows[4, first:last], rows[5, first:last], rows[6, first:last], rows[7, first:last]
-    for j in range(len(target)):
-        target[j] -= (
-            a * row_a[j] + b * row_b[j] + c * row_c[j] + d * row_d[j]
-            + e * row_e[j] + f * row_f[j] + g * row_g[j] + h * row_h[j]
-        )  # fmt: skip
+@partial(compiled, apart=True)
+def _solve_rows(own: Panel, rows: Panel, count: np.uintp) -> None:
+    """What of the factor is right of the block on the diagonal."""
+    d0, d1, d2, d3, d4, d5, d6, d7 = (
+        own[0, 0], own[1, 1], own[2, 2], own[3, 3], own[4, 4], own[5, 5], own[6, 6], own[7, 7]
+    )  # fmt: skip
+    u01, u02, u03, u04, u05, u06, u07 = own[0, 1], own[0, 2], own[0, 3], own[0, 4], own[0, 5], own[0, 6], own[0, 7]
+    u12, u13, u14, u15, u16, u17 = own[1, 2], own[1, 3], own[1, 4], own[1, 5], own[1, 6], own[1, 7]
+    u23, u24, u25, u26, u27 = own[2, 3], own[2, 4], own[2, 5], own[2, 6], own[2, 7]
+    u34, u35, u36, u37 = own[3, 4], own[3, 5], own[3, 6], own[3, 7]
+    u45, u46, u47, u56, u57, u67 = own[4, 5], own[4, 6], own[4, 7], own[5, 6], own[5, 7], own[6, 7]
+    for j in range(_EIGHT, count):
+        a = d0 * own[0, j]
+        b = d1 * (own[1, j] - u01 * a)
+        c = d2 * (own[2, j] - u02 * a - u12 * b)
+        d = d3 * (own[3, j] - u03 * a - u13 * b - u23 * c)
+        e = d4 * (own[4, j] - u04 * a - u14 * b - u24 * c - u34 * d)
+        f = d5 * (own[5, j] - u05 * a - u15 * b - u25 * c - u35 * d - u45 * e)
+        g = d6 * (own[6, j] - u06 * a - u16 * b - u26 * c - u36 * d - u46 * e - u56 * f)
+        h = d7 * (own[7, j] - u07 * a - u17 * b - u27 * c - u37 * d - u47 * e - u57 * f - u67 * g)
+        rows[0, j], rows[1, j], rows[2, j], rows[3, j] = a, b, c, d
+        rows[4, j], rows[5, j], rows[6, j], rows[7, j] = e, f, g, h
+
+
+@partial(compiled, apart=True)
+def _subtract(target: Panel, rows: Panel, first: np.uintp, count: np.uintp) -> None:
+    """Take off a later panel what eight rows of the factor, from column `first` on, stand for; two rows at a time."""
+    for i in range(np.uintp(0), _EIGHT, _TWO):
+        a, b, c, d, e, f, g, h = _column(rows, first + i)
+        k, m, n, o, p, q, r, s = _column(rows, first + i + _NEXT)
+        for x in range(count):
+            ra, rb, rc, rd, re, rf, rg, rh = _column(rows, first + x)
+            target[i, x] -= a * ra + b * rb + c * rc + d * rd + e * re + f * rf + g * rg + h * rh
+            target[i + _NEXT, x] -= k * ra + m * rb + n * rc + o * rd + p * re + q * rf + r * rg + s * rh
+
+
+@partial(compiled, apart=True)
+def _eliminate(own: Values, rows: Panel, right: Values) -> None:
+    """Solve for eight values, and take what they stand for off those to the right of them."""
+    for p in range(PANEL):
+        own[p] *= rows[p, p]
+        for q in range(p + 1, PANEL):
+            own[q] -= rows[p, q] * own[p]
+    a, b, c, d, e, f, g, h = own[0], own[1], own[2], own[3], own[4], own[5], own[6], own[7]
+    for x in range(np.uintp(len(right))):
+        ra, rb, rc, rd, re, rf, rg, rh = _column(rows, x + _EIGHT)
+        right[x] -= a * ra + b * rb + c * rc + d * rd + e * re + f * rf + g * rg + h * rh
+
+
+@partial(compiled, apart=True, reordered=True)
+def _substitute_back(own: Values, rows: Panel, right: Values) -> None:
+    """Solve for eight values, those to the right of them known."""
+    a, b, c, d, e, f, g, h = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+    for x in range(np.uintp(len(right))):
+        ra, rb, rc, rd, re, rf, rg, rh = _column(rows, x + _EIGHT)
+        a, b, c, d = a + ra * right[x], b + rb * right[x], c + rc * right[x], d + rd * right[x]
+        e, f, g, h = e + re * right[x], f + rf * right[x], g + rg * right[x], h + rh * right[x]
+    own[0], own[1], own[2], own[3] = own[0] - a, own[1] - b, own[2] - c, own[3] - d
+    own[4], own[5], own[6], own[7] = own[4] - e, own[5] - f, own[6] - g, own[7] - h
+    for p in range(PANEL - 1, -1, -1):
+        own[p] *= rows[p, p]
+        for q in range(p):
+            own[q] -= rows[q, p] * own[p]
 
 
 @compiled
-def _subtract_two(
-    target: Float32[np.ndarray, " count"], other: Float32[np.ndarray, " count"], share: Eight, other_share: Eight,
-    rows: Float32[np.ndarray, "8 width"], first: int,
-) -> None:  # fmt: skip
-    """`_subtract` for two targets, for which the rows are read once."""
-    a, b, c, d, e, f, g, h = share
-    i, j, k, m, n, o, p, q = other_share
-    last = first + len(target)
-    row_a, row_b, row_c, row_d = rows[0, first:last], rows[1, first:last], rows[2, first:last], rows[3, first:last]
-    row_e, row_f, row_g, row_h = rows[4, first:last], rows[5, first:last], rows[6, first:last], rows[7, first:last]
-    for x in range(len(target)):
-        target[x] -= (
-            a * row_a[x] + b * row_b[x] + c * row_c[x] + d * row_d[x]
-            + e * row_e[x] + f * row_f[x] + g * row_g[x] + h * row_h[x]
-        )  # fmt: skip
-        other[x] -= (
-            i * row_a[x] + j * row_b[x] + k * row_c[x] + m * row_d[x]
-            + n * row_e[x] + o * row_f[x] + p * row_g[x] + q * row_h[x]
-        )  # fmt: skip
-
-
-@compiled
-def _column(rows: Float32[np.ndarray, "8 width"], j: int) -> Eight:
+def _column(rows: Panel, j: np.uintp) -> Eight:
     return rows[0, j], rows[1, j], rows[2, j], rows[3, j], rows[4, j], rows[5, j], rows[6, j], rows[7, j]
-
-
-@compiled
-def _eight(values: Float32[np.ndarray, "8"]) -> Eight:
-    return values[0], values[1], values[2], values[3], values[4], values[5], values[6], values[7]
-
-
-@compiled
-def _set_eight(values: Float32[np.ndarray, " more"], eight: Eight) -> None:
-    values[0], values[1], values[2], values[3], values[4], values[5], values[6], values[7] = eight

@@ -1,4 +1,5 @@
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +27,20 @@ def test_a_function_is_compiled_and_keeps_its_meaning():
     assert isinstance(kernel, numba.core.registry.CPUDispatcher)
     assert kernel(np.array([3.0, 4.0])) == 25.0
     assert kernel.signatures  # machine code, not the interpreter
+
+
+def test_what_is_promised_of_the_arguments_and_of_the_order_of_sums_reaches_the_compiler(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+):
+    code = {}
+    for promised in (False, True):
+        monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / str(promised)))
+        kernel = compiled(sum_of_squares, apart=promised, reordered=promised)
+        assert kernel(np.arange(40.0)) == 20540.0
+        (code[promised],) = kernel.inspect_llvm().values()
+    assert "fadd reassoc" in code[True] and "fadd reassoc" not in code[False]
+    heads = [re.findall(r"^define .*sum_of_squares.*", code[promised], re.M)[0] for promised in (False, True)]
+    assert heads[1].count("noalias") > heads[0].count("noalias")  # the result and the error stand apart always
 
 
 def test_without_a_place_to_keep_code_in_it_is_compiled_all_the_same(monkeypatch: pytest.MonkeyPatch):
