@@ -37,10 +37,10 @@ def fake_result(request: DeformRequest) -> DeformResult:
     loads = []
     for number, _ in enumerate(request.loads, start=1):
         deformed = np.roll(rest, number, axis=0)
-        displacement = np.zeros((3, 64, 64, 64), np.float32)
-        displacement[0][deformed] = 0.003 * number
+        moved_m = np.zeros((3, np.count_nonzero(deformed)), np.float32)
+        moved_m[0] = 0.003 * number
         loads.append(
-            LoadResult(deformed, np.roll(probability, number, axis=0), displacement, 0.003 * number, 0.002 * number,
+            LoadResult(deformed, np.roll(probability, number, axis=0), moved_m, 0.003 * number, 0.002 * number,
                        0.01 * number, frozenset({"contact_snapped"}))
         )  # fmt: skip
     pose = np.eye(4)
