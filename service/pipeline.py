@@ -22,7 +22,6 @@ from service.core.displacement import Field
 from service.core.errors import InvalidRequest
 from service.core.grids import Grid
 from service.core.limits import DEFAULT_LIMITS, FrameLimits
-from service.core.lookup import motion
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
@@ -33,6 +32,7 @@ from service.core.messages import (
     LoadResult,
     Observation,
 )
+from service.core.motion import motion
 from service.core.segmentation import segment
 from service.core.shapes import decode_shape, in_own_voxels
 from service.core.smoothing import smoothed
@@ -295,7 +295,7 @@ def _unmoved(body: Body, question: Question) -> LoadResult:
     return LoadResult(
         deformed=body.occupancy,
         probability=body.probability,
-        displacement_m=np.zeros((3, *body.occupancy.shape), np.float32),
+        moved_m=np.zeros((3, np.count_nonzero(body.occupancy)), np.float32),
         max_displacement_m=0.0,
         mean_displacement_m=0.0,
         load_number=0.0,
@@ -312,7 +312,7 @@ def _moved(body: Body, question: Question, probability: Probability, field: Fiel
     return LoadResult(
         deformed=deformed,
         probability=probability,
-        displacement_m=moved.displacement_m,
+        moved_m=moved.moved_m,
         max_displacement_m=moved.max_m,
         mean_displacement_m=moved.mean_m,
         load_number=question.load_number,

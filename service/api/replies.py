@@ -63,7 +63,7 @@ def _load_document(load: LoadResult, outputs: frozenset[str]) -> dict[str, Any]:
     if "probability" in outputs:
         document["probability"] = _probability(load.probability)
     if "displacement" in outputs:
-        field = half_precision(load.displacement_m)
+        field = half_precision(load)
         document["displacement"] = {"encoding": "float16", "shape": list(field.shape), "data": _base64(field)}
     document["max_displacement_m"] = load.max_displacement_m
     document["mean_displacement_m"] = load.mean_displacement_m
@@ -86,9 +86,10 @@ def levels(probability: np.ndarray) -> np.ndarray:
     return np.rint(probability * np.float32(255.0)).astype(np.uint8)
 
 
-def half_precision(displacement_m: np.ndarray) -> np.ndarray:
-    """A displacement field as both wires send it: little-endian half precision, metres."""
-    return displacement_m.astype("<f2")
+def half_precision(load: LoadResult) -> np.ndarray:
+    """Its displacement field as both wires send it: little-endian half precision, metres."""
+    # rounded before it becomes a grid, nearly all of which is zero
+    return load.as_grid(load.moved_m.astype("<f2"))
 
 
 def _base64(array: np.ndarray) -> str:
@@ -137,7 +138,7 @@ def reply_npz(
     if "probability" in outputs:
         arrays["probability"] = np.stack([load.probability.astype(np.float16) for load in result.loads])
     if "displacement" in outputs:
-        arrays["displacement_m"] = np.stack([load.displacement_m.astype(np.float16) for load in result.loads])
+        arrays["displacement_m"] = np.stack([half_precision(load) for load in result.loads])
     if "scene" in outputs:
         arrays["scene"] = np.frombuffer(scene_glb(result), np.uint8)
     return _npz(arrays)

@@ -171,7 +171,7 @@ def _load_result(load: LoadResult, outputs: frozenset[str]) -> pb.LoadResult:
     if "probability" in outputs:
         answer.probability.levels = _bytes(levels(load.probability))
     if "displacement" in outputs:
-        answer.displacement.float16_m = _bytes(half_precision(load.displacement_m))
+        answer.displacement.float16_m = _bytes(half_precision(load))
     return answer
 
 

@@ -53,7 +53,8 @@ def displacement_at_surface(load: LoadResult, grid: Grid, vertices: Points) -> F
     The surface passes between voxels of which some are outside, where there is no displacement: the largest of the
     eight around a point stands for it.
     """
-    lengths_m = np.pad(np.sqrt((load.displacement_m**2).sum(axis=0)), 1)
+    lengths_m = np.zeros((GRID_SIZE + 2,) * 3, np.float32)
+    lengths_m[1:-1, 1:-1, 1:-1][load.deformed] = np.sqrt((load.moved_m**2).sum(axis=0))
     in_grid = transform_points(invert_rigid(grid.camera_from_grid), vertices) / np.float32(grid.pitch_m)
     cells = np.clip(np.floor(in_grid + np.float32(0.5)).astype(np.intp), 0, GRID_SIZE)
     corners = [lengths_m[tuple((cells + corner).T)] for corner in np.ndindex(2, 2, 2)]

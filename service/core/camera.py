@@ -256,6 +256,7 @@ def pixel_to_point(
     intrinsics: Intrinsics,
     *,
     mask: Mask | None = None,
+    corner_px: tuple[int, int] = (0, 0),
     field: str = "contact_px",
 ) -> Vector3:
     """The surface point seen at a pixel, camera frame, metres.
@@ -269,6 +270,7 @@ def pixel_to_point(
         depth_m: Metres, NaN where there is no reading.
         intrinsics: The camera.
         mask: Pixels that may be read, such as those of the object; all where None.
+        corner_px: (u, v) of the first reading where there are those of a window only, in which the pixel must lie.
         field: Path of the pixel in the request, for the error.
 
     Raises:
@@ -283,7 +285,7 @@ def pixel_to_point(
             expected=f"u in [0, {intrinsics.width - 1}], v in [0, {intrinsics.height - 1}]",
             actual=f"({u:g}, {v:g})",
         )
-    z_m = _depth_near(column, row, depth_m, mask)
+    z_m = _depth_near(column - corner_px[0], row - corner_px[1], depth_m, mask)
     if z_m is None:
         raise InvalidRequest(
             "The depth image has no reading near the contact pixel; name another pixel or send `contact_m`.",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from service.core.arrays import DepthImage, Mask, Vector3
@@ -44,16 +45,13 @@ class DepthCrop:
                 expected=f"u in [{left}, {left + columns - 1}], v in [{top}, {top + rows - 1}]",
                 actual=f"({u:g}, {v:g})",
             )
-        whole = np.full((camera.height, camera.width), np.nan, np.float32)
-        whole[top : top + rows, left : left + columns] = self.depth_m
-        return pixel_to_point(u, v, whole, camera, field=field)
+        return pixel_to_point(u, v, self.depth_m, camera, corner_px=self.corner_px, field=field)
 
 
 def crop_around(pixels: Mask, depth_m: DepthImage, intrinsics: Intrinsics) -> DepthCrop:
     """The window around an object's pixels, at least one, from which every contact on or near it can be read."""
-    rows, columns = (np.flatnonzero(pixels.any(axis=axis)) for axis in (1, 0))
-    side = max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1
-    margin = int(MARGIN * side) + PIXEL_WINDOW_RADII[-1] + 1
-    top, left = max(0, int(rows[0]) - margin), max(0, int(columns[0]) - margin)
-    window = depth_m[top : int(rows[-1]) + margin + 1, left : int(columns[-1]) + margin + 1]
+    column, row, columns, rows = cv2.boundingRect(pixels.view(np.uint8))
+    margin = int(MARGIN * max(rows, columns)) + PIXEL_WINDOW_RADII[-1] + 1
+    top, left = max(0, row - margin), max(0, column - margin)
+    window = depth_m[top : row + rows + margin, left : column + columns + margin]
     return DepthCrop(intrinsics, (left, top), window.copy())

@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
-from service.core.extent import Voxel, filled_range
+from service.core.extent import filled_range
 from service.core.prior_field import FIELD_SIZE
 
 Field: TypeAlias = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
@@ -20,6 +20,9 @@ Lattice: TypeAlias = Float32[np.ndarray, "axis=3 s s s"]
 Corner: TypeAlias = tuple[float, float, float]
 Box: TypeAlias = tuple[Corner, Corner]
 Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
+
+SPARE = 3.0
+"""Nodes around all material that is looked at: a cell of the field, and as much again as the field may bend in it."""
 
 
 def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> Field:
@@ -32,12 +35,13 @@ def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> 
     Args:
         backward: u_b in edges of the grid.
         correction: δ on a lattice over the cube, node i at (i + ½)/s.
-        body: Box of the body at rest, lowest and highest corner in edges of the grid. Where none of it can get to,
-            the field is left as it was. All of it is corrected if None.
+        body: Box of the body at rest, lowest and highest corner in edges of the grid. The field is left as it was where
+            ψ leads farther from the box than the body is corrected, and `SPARE` nodes: nobody looks there. All of it
+            is corrected if None.
     """
-    first, end = _reached(body, backward, correction) if body else ((0, 0, 0), (FIELD_SIZE,) * 3)
-    result = backward.copy()
-    _correct(np.ascontiguousarray(backward), np.ascontiguousarray(correction), first, end, result)
+    low, high = _near(body, correction) if body else (_NOWHERE, _EVERYWHERE)
+    result = np.empty_like(backward)
+    _correct(np.ascontiguousarray(backward), np.ascontiguousarray(correction), low, high, result)
     return result
 
 
@@ -54,38 +58,45 @@ def body_box(rest: Occupancy) -> Box:
     return (x0 / GRID_SIZE, y0 / GRID_SIZE, z0 / GRID_SIZE), (x1 / GRID_SIZE, y1 / GRID_SIZE, z1 / GRID_SIZE)
 
 
-def _reached(body: Box, backward: Field, correction: Lattice) -> tuple[Voxel, Voxel]:
-    """The nodes around all places that some displacement there is could carry the body to."""
-    ends = []
-    for axis in range(3):
-        low = body[0][axis] + float(backward[axis].min()) + float(correction[axis].min())
-        high = body[1][axis] + float(backward[axis].max()) + float(correction[axis].max())
-        first, end = math.floor(low * FIELD_SIZE - 1.5), math.ceil(high * FIELD_SIZE + 1.5)
-        ends.append((min(max(first, 0), FIELD_SIZE - 1), max(min(end, FIELD_SIZE), 1)))
-    (x0, x1), (y0, y1), (z0, z1) = ends
-    return (x0, y0, z0), (x1, y1, z1)
+def _near(body: Box, correction: Lattice) -> tuple[Vector, Vector]:
+    """The box, and around it what the correction inside can amount to. Far from the body there is no bound to it."""
+    size = correction.shape[1]
+    first = [max(math.floor(size * place - 0.5), 0) for place in body[0]]
+    end = [math.ceil(size * place + 0.5) for place in body[1]]
+    there = correction[:, first[0] : end[0], first[1] : end[1], first[2] : end[2]]
+    around = SPARE / FIELD_SIZE + max(float(there.max()), -float(there.min()))
+    (x, y, z), (end_x, end_y, end_z) = body
+    return _vector(x - around, y - around, z - around), _vector(end_x + around, end_y + around, end_z + around)
 
 
+def _vector(x: float, y: float, z: float) -> Vector:
+    return np.float32(x), np.float32(y), np.float32(z)
+
+
+_NOWHERE, _EVERYWHERE = _vector(-math.inf, -math.inf, -math.inf), _vector(math.inf, math.inf, math.inf)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _NEXT = np.uintp(1)
 _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 
 
 @compiled
-def _correct(backward: Field, correction: Lattice, first: Voxel, end: Voxel, result: Field) -> None:
-    """`corrected` at the nodes from `first` to before `end`."""
-    for i in range(first[0], end[0]):
-        for j in range(first[1], end[1]):
-            for k in range(first[2], end[2]):
+def _correct(backward: Field, correction: Lattice, low: Vector, high: Vector, result: Field) -> None:
+    """`corrected` at the nodes whose material the field says to come from between two corners."""
+    for i in range(FIELD_SIZE):
+        for j in range(FIELD_SIZE):
+            for k in range(FIELD_SIZE):
                 x, y, z = _STEPS[i], _STEPS[j], _STEPS[k]
-                dx, dy, dz = _vector_at(
-                    correction, x - backward[0, i, j, k], y - backward[1, i, j, k], z - backward[2, i, j, k]
-                )
-                ux, uy, uz = _vector_at(backward, x - dx, y - dy, z - dz)
-                ux, uy, uz = ux + dx, uy + dy, uz + dz
-                squared = ux * ux + uy * uy + uz * uz
-                held = z / np.sqrt(squared) if squared > z * z else _ONE
-                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = held * ux, held * uy, held * uz
+                ux, uy, uz = backward[0, i, j, k], backward[1, i, j, k], backward[2, i, j, k]
+                at_x, at_y, at_z = x - ux, y - uy, z - uz
+                outside_x, outside_y = at_x < low[0] or at_x > high[0], at_y < low[1] or at_y > high[1]
+                if not (outside_x or outside_y or at_z < low[2] or at_z > high[2]):
+                    dx, dy, dz = _vector_at(correction, at_x, at_y, at_z)
+                    ux, uy, uz = _vector_at(backward, x - dx, y - dy, z - dz)
+                    ux, uy, uz = ux + dx, uy + dy, uz + dz
+                    squared = ux * ux + uy * uy + uz * uz
+                    held = z / np.sqrt(squared) if squared > z * z else _ONE
+                    ux, uy, uz = held * ux, held * uy, held * uz
+                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = ux, uy, uz
 
 
 @compiled

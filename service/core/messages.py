@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Shaped
 
-from service.core.arrays import Occupancy, Probability, Transform, Vector3
+from service.core.arrays import GRID_SIZE, Occupancy, Probability, Transform, Vector3
 from service.core.camera import Intrinsics
 from service.core.grids import Grid
 from service.core.materials import Material
@@ -119,8 +119,7 @@ class LoadResult:
     """Attributes:
     deformed: Occupancy after the push, in the reply's grid.
     probability: Occupancy probability behind `deformed`.
-    displacement_m: At each voxel of the deformed body, the displacement (grid axes, metres) of the material now
-        there; zero outside the body.
+    moved_m: At each voxel of the deformed body, in C order, the displacement (grid axes) of the material now there.
     max_displacement_m, mean_displacement_m: Over the deformed body.
     load_number: F/(E L²) with L the edge of the grid.
     flags: What the robot should know about this answer.
@@ -128,11 +127,22 @@ class LoadResult:
 
     deformed: Occupancy
     probability: Probability
-    displacement_m: Displacement
+    moved_m: Float32[np.ndarray, "axis=3 n"]
     max_displacement_m: float
     mean_displacement_m: float
     load_number: float
     flags: frozenset[str]
+
+    @property
+    def displacement_m(self) -> Displacement:
+        """`moved_m` as a grid. Made anew each time: it is larger than all else together."""
+        return self.as_grid(self.moved_m)
+
+    def as_grid(self, vectors: Shaped[np.ndarray, "axis=3 n"]) -> Shaped[np.ndarray, "axis=3 x=64 y=64 z=64"]:
+        """Vectors of the deformed body's voxels, those in C order, on a grid that is zero outside it."""
+        grid = np.zeros((3, GRID_SIZE**3), vectors.dtype)
+        grid[:, np.flatnonzero(self.deformed)] = vectors
+        return grid.reshape(3, GRID_SIZE, GRID_SIZE, GRID_SIZE)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy, Probability
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.core.displacement import body_box, corrected
+from service.core.displacement import Box, body_box, corrected
 from service.core.lookup import Warp
 from service.core.manifest import Manifest
 from service.core.prior import ElasticPrior
@@ -45,6 +45,17 @@ class Prior:
     backward: Backward
 
 
+@dataclass(frozen=True, eq=False)
+class _Body:
+    """A body, ready for any load: as asked about, as the network sees it, its box, and its occupancy to be warped."""
+
+    rest: Occupancy
+    smooth: Probability | None
+    tensor: Float32[np.ndarray, "1 1 x=64 y=64 z=64"]
+    box: Box
+    warp: Warp
+
+
 class DeformationModel:
     """From an undeformed body and a batch of conditions to its deformed shapes."""
 
@@ -53,6 +64,7 @@ class DeformationModel:
         self.manifest = manifest
         self._latent = int(next(i for i in session.get_inputs() if i.name == "noise").shape[1])
         self._solved: tuple[Occupancy, float, ElasticPrior] | None = None
+        self._known: _Body | None = None
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
@@ -80,15 +92,13 @@ class DeformationModel:
             smooth: See `service.core.lookup.Warp`.
         """
         prior = prior or self.prior(rest, conditions)
-        inputs = {
-            "rest": rest.astype(np.float32)[None, None], "condition": np.stack(conditions), "prior": prior.forward,
-        }  # fmt: skip
-        deform, box = Warp(rest, smooth), body_box(rest)
+        body = self._body(rest, smooth)
+        inputs = {"rest": body.tensor, "condition": np.stack(conditions), "prior": prior.forward}
 
         def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
             (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})
-            fields = [corrected(u, delta, box) for u, delta in zip(prior.backward, correction, strict=True)]
-            return Deformation(_stacked([deform(field) for field in fields]), _stacked(fields))
+            fields = [corrected(u, delta, body.box) for u, delta in zip(prior.backward, correction, strict=True)]
+            return Deformation(_stacked([body.warp(field) for field in fields]), _stacked(fields))
 
         if samples == 0:
             return answer(np.zeros((len(conditions), self._latent), np.float32))
@@ -104,6 +114,13 @@ class DeformationModel:
         if self._solved is None or self._solved[0] is not rest or self._solved[1] != poisson_ratio:
             self._solved = rest, poisson_ratio, ElasticPrior(rest, poisson_ratio)
         return self._solved[2]
+
+    def _body(self, rest: Occupancy, smooth: Probability | None) -> _Body:
+        """What every load on a body needs of it. That of the last one is kept, too."""
+        if self._known is None or self._known.rest is not rest or self._known.smooth is not smooth:
+            tensor = rest.astype(np.float32)[None, None]
+            self._known = _Body(rest, smooth, tensor, body_box(rest), Warp(rest, smooth))
+        return self._known
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.

@@ -17,7 +17,8 @@ def result_of(
 ) -> DeformResult:
     probability = rest.astype(np.float32) if probability is None else probability
     largest_m = float(np.sqrt((displacement_m**2).sum(0)).max())
-    load = LoadResult(deformed, deformed.astype(np.float32), displacement_m, largest_m, 0.0, 0.0, frozenset())
+    moved_m = displacement_m[:, deformed]
+    load = LoadResult(deformed, deformed.astype(np.float32), moved_m, largest_m, 0.0, 0.0, frozenset())
     return DeformResult(Grid(0.003, np.eye(4)), None, rest, probability, (load,), frozenset(), "fake", "1")
 
 

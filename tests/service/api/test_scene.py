@@ -94,7 +94,8 @@ def document(glb: bytes) -> dict:
 
 
 def test_a_body_that_was_pushed_out_of_its_grid_leaves_a_node_without_a_mesh(result):
-    gone = replace(result.loads[0], deformed=np.zeros((64, 64, 64), bool), max_displacement_m=0.0)
+    nothing = np.zeros((64, 64, 64), bool)
+    gone = replace(result.loads[0], deformed=nothing, moved_m=np.zeros((3, 0), np.float32), max_displacement_m=0.0)
     found = document(scene_glb(replace(result, loads=(gone,))))
     assert found["nodes"][1]["name"] == "load 0" and "mesh" not in found["nodes"][1]
     empty = replace(result, loads=(gone,), reconstruction=gone.deformed)

@@ -83,10 +83,20 @@ def test_only_where_the_body_can_get_to_is_corrected() -> None:
     correction = np.full((3, 16, 16, 16), 0.02, np.float32)
     assert filled_range(rest) == ((20, 30, 0), (36, 40, 24))
     part, whole = corrected(field, correction, body_box(rest)), corrected(field, correction)
-    # Within reach: x from 20/64 to 36/64 + 0.12, and no farther than two nodes beyond.
+    # Within reach: x from 20/64 to 36/64 + 0.12, and no farther than three nodes beyond.
     np.testing.assert_array_equal(part[:, 10:22, 15:21, :13], whole[:, 10:22, 15:21, :13])
-    np.testing.assert_array_equal(part[:, :7], field[:, :7])
-    np.testing.assert_array_equal(part[:, 27:], field[:, 27:])
+    np.testing.assert_array_equal(part[:, :6], field[:, :6])
+    np.testing.assert_array_equal(part[:, 26:], field[:, 26:])
+
+
+def test_a_correction_far_from_the_body_reaches_no_farther() -> None:
+    """The network says what it likes there; what it says of the body decides how much of the field it puts right."""
+    field = np.zeros((3, 32, 32, 32), np.float32)
+    correction = np.full((3, 16, 16, 16), 0.01, np.float32)
+    correction[:, 14:] = 0.5
+    found = corrected(field, correction, ((0.25, 0.25, 0.0), (0.5, 0.5, 0.5)))
+    np.testing.assert_allclose(found[:, 6:18, 6:18, 1:18], 0.01, atol=1e-6)
+    assert not found[:, 21:].any()
 
 
 def test_nothing_moves_farther_than_it_is_high() -> None:

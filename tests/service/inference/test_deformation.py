@@ -3,7 +3,8 @@ import pytest
 
 from service.core.condition import CONDITION_FIELDS
 from service.core.displacement import body_box, corrected
-from service.core.lookup import motion, warp
+from service.core.lookup import warp
+from service.core.motion import motion
 from service.core.prior import ElasticPrior
 from service.inference.registry import Models
 
@@ -15,7 +16,7 @@ EVERYWHERE = np.ones_like(BODY)
 
 def displacement(field: np.ndarray) -> np.ndarray:
     """At every voxel, in edges of the grid."""
-    return motion(field, BODY, EVERYWHERE, 1.0).displacement_m
+    return motion(field, BODY, EVERYWHERE, 1.0).moved_m.reshape(3, 64, 64, 64)
 
 
 def push(y: float = 0.5, direction: tuple[float, float, float] = (1.0, 0.0, 0.0), log_load: float = -2.5) -> np.ndarray:
