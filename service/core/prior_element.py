@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from service.core.prior_grid import CORNERS, GAUSS_3, POINTS_27, CellGrid, shape_functions
+from service.core.prior_grid import CORNERS, POINTS_27, CellGrid, shape_functions
+from service.core.prior_moments import GAUSS_3
 
 VOID_STIFFNESS = 1e-3
 """Young's modulus of the empty part of a cell, of that of the body: no node hangs free."""

@@ -7,20 +7,17 @@ as wide as high. Everything is in edges of the body grid, z up.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int, UInt64
+from jaxtyping import Float, Float32, Float64, Int, UInt8
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
+from service.core.prior_moments import GAUSS_3, FloorWeights, Weights, quadrature_weights
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
-
-GAUSS_3: Float64[np.ndarray, "3"] = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-"""Abscissae in [0, 1] of the Gauss rule of three points."""
 
 POINTS_27: Float64[np.ndarray, "27 3"] = np.stack(np.meshgrid(GAUSS_3, GAUSS_3, GAUSS_3, indexing="ij"), -1).reshape(
     -1, 3
@@ -53,12 +50,12 @@ class CellGrid:
     edges: Float64[np.ndarray, "3"]
     shape: tuple[int, int, int]
     cells: Int[np.ndarray, "m 3"]
-    weights: Float64[np.ndarray, "27 m"]
-    fill: Float64[np.ndarray, " m"]
+    weights: Float32[np.ndarray, "27 m"]
+    fill: Float32[np.ndarray, " m"]
     nodes: Int[np.ndarray, "n 3"]
     cell_nodes: Int[np.ndarray, "m 8"]
     floor_cells: Int[np.ndarray, " b"]
-    floor_weights: Float64[np.ndarray, "9 b"]
+    floor_weights: Float32[np.ndarray, "9 b"]
     _cell_of_box: Int[np.ndarray, "x y z"]
 
     @classmethod
@@ -71,54 +68,31 @@ class CellGrid:
         filled = filled_range(occupancy)
         if filled is None:
             raise ValueError("an empty body has no elastic solution: the occupancy holds no voxel")
-        low_index, high_index = map(np.array, filled)
-        low, high = low_index / GRID_SIZE, high_index / GRID_SIZE
-        extent = high - low
+        first, end = filled
+        low = np.array(first) / GRID_SIZE
+        extent = np.array(end) / GRID_SIZE - low
         width = (extent.prod() / cells) ** (1.0 / 3.0)
         shape = np.maximum(np.round(extent / width), 1).astype(int)
-        box = occupancy[tuple(slice(a, b) for a, b in zip(low_index, high_index, strict=True))].astype(np.float32)
-        x, y, z = (_moments(int(n), int(v)) for n, v in zip(shape, box.shape, strict=True))
-        nx, ny, nz = (int(n) for n in shape)
-        # box[x, y, z] times one table an axis, the longest sums first
-        along_z = box.reshape(-1, box.shape[2]) @ z.T
-        along_x = x @ along_z.reshape(box.shape[0], -1)
-        moments = np.matmul(y, along_x.reshape(3 * nx, box.shape[1], 3 * nz))
-        weights = moments.reshape(nx, 3, ny, 3, nz, 3).transpose(1, 3, 5, 0, 2, 4).reshape(27, nx, ny, nz)
-        floor = (x @ box[:, :, 0] @ y.T).reshape(nx, 3, ny, 3).transpose(1, 3, 0, 2).reshape(9, nx, ny)
-        solid = weights.sum(axis=0) >= MIN_FILL
-        solid[:, :, 0] |= floor.sum(axis=0) >= MIN_FILL
-        kept = _standing(solid)
-        if not kept.any():  # a body that touches the floor with a few voxels only
-            solid[:, :, 0] |= floor.sum(axis=0) > 1e-6
-            kept = _standing(solid)
-        active = np.argwhere(kept)
-        floor_cells = np.flatnonzero(active[:, 2] == 0)
-        used = np.zeros((nx + 1, ny + 1, nz + 1), bool)
-        for dx, dy, dz in CORNERS:
-            used[dx : nx + dx, dy : ny + dy, dz : nz + dz] |= kept
-        node_of_box = np.full(used.shape, -1)
+        nx, ny, nz = shape.tolist()
+        weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
+        kept = np.zeros((nx, ny, nz), np.uint8)
+        count = _keep(weights, floor, MIN_FILL, kept)
+        if count == 0:  # a body that touches the floor with a few voxels only
+            count = _keep(weights, floor, 1e-6, kept)
         # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
         order = np.argsort([-nx, -ny, -nz], kind="stable")
-        places = np.nonzero(used.transpose(order))
-        node_of_box.transpose(order)[places] = np.arange(len(places[0]))
-        nodes = np.stack([places[list(order).index(axis)] for axis in range(3)], axis=1)
-        corners = active[:, None, :] + CORNERS
-        cell_of_box = np.full(kept.shape, -1)
-        cell_of_box[kept] = np.arange(len(active))
-        chosen = weights[:, kept].astype(np.float64)
+        cell_of_box, chosen, nodes, corners, own = _number(kept, count, order, weights)
+        floor_cells = np.flatnonzero(chosen[:, 2] == 0)
         return cls(
-            low=low, edges=extent / shape, shape=(nx, ny, nz), cells=active, weights=chosen, fill=chosen.sum(axis=0),
-            nodes=nodes, cell_nodes=node_of_box[corners[..., 0], corners[..., 1], corners[..., 2]],
-            floor_cells=floor_cells,
-            floor_weights=floor[:, active[floor_cells, 0], active[floor_cells, 1]].astype(np.float64),
-            _cell_of_box=cell_of_box,
+            low=low, edges=extent / shape, shape=(nx, ny, nz), cells=chosen, weights=own, fill=own.sum(axis=0),
+            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells,
+            floor_weights=floor[:, chosen[floor_cells, 0], chosen[floor_cells, 1]], _cell_of_box=cell_of_box,
         )  # fmt: skip
 
     @property
-    def voxel_bounds(self) -> tuple[Int[np.ndarray, "3"], Int[np.ndarray, "3"]]:
-        """First voxel of the box along each axis, and one past its last."""
-        high = self.low + self.edges * self.shape
-        return np.rint(self.low * GRID_SIZE).astype(int), np.rint(high * GRID_SIZE).astype(int)
+    def floor(self) -> int:
+        """Lowest layer of voxels of the box."""
+        return round(float(self.low[2]) * GRID_SIZE)
 
     @property
     def node_positions(self) -> Float64[np.ndarray, "n 3"]:
@@ -202,42 +176,91 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
     return np.asarray(product.reshape(8, -1))
 
 
-def column_words(occupancy: Occupancy) -> UInt64[np.ndarray, "x y"]:
-    """The voxels of every column along z as the bits of a word, the lowest first."""
-    return np.packbits(np.ascontiguousarray(occupancy), axis=2, bitorder="little").view("<u8")[:, :, 0]
+@compiled
+def _keep(weights: Weights, floor: FloorWeights, least_floor: float, kept: UInt8[np.ndarray, "x y z"]) -> int:
+    """Mark the cells with material that are connected to the lowest layer across faces, and count them.
 
-
-@lru_cache(maxsize=512)
-def _moments(cells: int, voxels: int) -> Float32[np.ndarray, "points voxels"]:
-    """Integrals of the Lagrange polynomials of the Gauss points over the part of each voxel in each cell.
-
-    Row 3·cell + point; `cells` cells over `voxels` voxels. Applied along each axis they fit quadrature weights to the
-    moments of the material (moment fitting: Müller, Kummer and Oberlack, IJNME 96 (2013)).
+    Nothing holds the others. In the lowest layer a cell counts that fills so much of its lower face, too.
     """
-    face = np.arange(voxels + 1) * (cells / voxels)
-    low = np.clip(face[:-1] - np.arange(cells)[:, None], 0.0, 1.0)
-    high = np.clip(face[1:] - np.arange(cells)[:, None], 0.0, 1.0)
-    table = np.empty((cells, 3, voxels))
-    for point in range(3):
-        others = np.delete(GAUSS_3, point)
-        polynomial = np.poly1d(others, r=True) / np.prod(GAUSS_3[point] - others)
-        integral = polynomial.integ()
-        table[:, point] = integral(high) - integral(low)
-    return table.reshape(3 * cells, voxels).astype(np.float32)
+    size_x, size_y, size_z = kept.shape
+    reached, solid, count = np.uint8(1), np.uint8(2), 0
+    for x in range(size_x):
+        for y in range(size_y):
+            for z in range(size_z):
+                fill = np.float32(0.0)
+                for q in range(len(weights)):
+                    fill += weights[q, x, y, z]
+                kept[x, y, z] = solid if fill >= MIN_FILL else np.uint8(0)
+            fill = np.float32(0.0)
+            for q in range(len(floor)):
+                fill += floor[q, x, y]
+            if fill >= least_floor or kept[x, y, 0]:
+                kept[x, y, 0] = reached
+                count += 1
+    grown = True
+    while grown:
+        grown = False
+        for x in range(size_x):
+            for y in range(size_y):
+                for z in range(size_z):
+                    if kept[x, y, z] == solid and (
+                        (x > 0 and kept[x - 1, y, z] == reached)
+                        or (x + 1 < size_x and kept[x + 1, y, z] == reached)
+                        or (y > 0 and kept[x, y - 1, z] == reached)
+                        or (y + 1 < size_y and kept[x, y + 1, z] == reached)
+                        or (z > 0 and kept[x, y, z - 1] == reached)
+                        or (z + 1 < size_z and kept[x, y, z + 1] == reached)
+                    ):
+                        kept[x, y, z] = reached
+                        count += 1
+                        grown = True
+    for x in range(size_x):
+        for y in range(size_y):
+            for z in range(size_z):
+                kept[x, y, z] &= reached
+    return count
 
 
-def _standing(solid: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
-    """Cells connected to the lowest layer across faces: nothing holds the others."""
-    reached = np.zeros_like(solid)
-    reached[:, :, 0] = solid[:, :, 0]
-    count = 0
-    while count != (count := int(reached.sum())):
-        grown = reached.copy()
-        grown[1:] |= reached[:-1]
-        grown[:-1] |= reached[1:]
-        grown[:, 1:] |= reached[:, :-1]
-        grown[:, :-1] |= reached[:, 1:]
-        grown[:, :, 1:] |= reached[:, :, :-1]
-        grown[:, :, :-1] |= reached[:, :, 1:]
-        reached = grown & solid
-    return reached
+@compiled
+def _number(
+    kept: UInt8[np.ndarray, "x y z"], count: int, order: Int[np.ndarray, "3"], weights: Weights
+) -> tuple[
+    Int[np.ndarray, "x y z"], Int[np.ndarray, "m 3"], Int[np.ndarray, "n 3"], Int[np.ndarray, "m 8"],
+    Float32[np.ndarray, "27 m"],
+]:  # fmt: skip
+    """Number the cells in the order of memory and the nodes by their axes in this order.
+
+    Returns:
+        The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights.
+    """
+    size = kept.shape
+    cell_of_box = np.full(size, -1)
+    cells, corners = np.empty((count, 3), np.int64), np.empty((count, 8), np.int64)
+    own = np.empty((27, count), np.float32)
+    node_of_box = np.full((size[0] + 1, size[1] + 1, size[2] + 1), -1)
+    m = 0
+    for x in range(size[0]):
+        for y in range(size[1]):
+            for z in range(size[2]):
+                if kept[x, y, z]:
+                    cell_of_box[x, y, z] = m
+                    cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
+                    for q in range(len(own)):
+                        own[q, m] = weights[q, x, y, z]
+                    for a in range(8):
+                        node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 0
+                    m += 1
+    nodes = np.empty((node_of_box.size, 3), np.int64)
+    at, n = np.empty(3, np.int64), 0
+    for i in range(node_of_box.shape[order[0]]):
+        for j in range(node_of_box.shape[order[1]]):
+            for k in range(node_of_box.shape[order[2]]):
+                at[order[0]], at[order[1]], at[order[2]] = i, j, k
+                if node_of_box[at[0], at[1], at[2]] == 0:
+                    node_of_box[at[0], at[1], at[2]] = n
+                    nodes[n] = at
+                    n += 1
+    for c in range(count):
+        for a in range(8):
+            corners[c, a] = node_of_box[cells[c, 0] + (a >> 2), cells[c, 1] + (a >> 1 & 1), cells[c, 2] + (a & 1)]
+    return cell_of_box, cells, nodes[:n], corners, own

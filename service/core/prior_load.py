@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.condition import Condition
-from service.core.prior_grid import CellGrid, column_words
+from service.core.prior_grid import CellGrid
+from service.core.prior_moments import Bytes
 
 MIN_RADIUS = 1.5 / GRID_SIZE
 """Smaller patches would fall between the voxels."""
@@ -22,52 +23,16 @@ _FACING = np.float32(1.4 / GRID_SIZE)
 _NEAR = np.float32(4.0) * _FACING
 """What lies farther counts for less than a thousandth of that mean."""
 
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_SIZE = np.float32(GRID_SIZE)
 
 Points = Float32[np.ndarray, "3 k"]
+Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
 
 
-@dataclass(frozen=True, eq=False)
-class Surface:
-    """The surface of a body as its voxels show it.
-
-    Attributes:
-        occupancy: The body.
-        points: Places on the surface, one for every voxel there.
-        outward: The gradient of the occupancy at them: a normal as long as the surface is large that each stands for.
-    """
-
-    occupancy: Occupancy
-    points: Points
-    outward: Points
-
-    @classmethod
-    def of(cls, grid: CellGrid, occupancy: Occupancy) -> Surface:
-        """The surface without the sole, whose voxels go on below: nothing pushes a sole from there."""
-        floor = int(grid.voxel_bounds[0][2])
-        words = column_words(occupancy)
-        around = np.pad(words, 1)
-        along_x, along_y = around[:-2, 1:-1] ^ around[2:, 1:-1], around[1:-1, :-2] ^ around[1:-1, 2:]
-        below = words << np.uint64(1) | words & np.uint64(1 << floor)
-        exposed = words & (along_x | along_y | (below ^ words >> np.uint64(1)))
-        place = np.flatnonzero(np.unpackbits(exposed.view(np.uint8), bitorder="little").view(bool))
-        index = np.stack(np.unravel_index(place, occupancy.shape))
-        solid = np.pad(occupancy.view(np.int8), 1)
-        solid[:, :, floor] = solid[:, :, floor + 1]
-        # neighbours lie a stride before and behind
-        line, strides = solid.ravel(), np.array(solid.strides)
-        at = strides @ (index + 1)
-        outward = np.stack([line[at - stride] - line[at + stride] for stride in strides]).astype(np.float32)
-        length = np.sqrt((outward * outward).sum(axis=0))
-        points = (index.astype(np.float32) + np.float32(0.5) + outward / (length + length)) / np.float32(GRID_SIZE)
-        return cls(occupancy, points, outward)
-
-    def nearest_voxel(self, place: Float64[np.ndarray, "3"]) -> Float32[np.ndarray, "3 1"]:
-        """Centre of the voxel nearest to a place."""
-        centres = ((np.argwhere(self.occupancy) + 0.5) / GRID_SIZE).astype(np.float32)
-        return np.asarray(centres[np.argmin(((centres - place) ** 2).sum(axis=1))][:, None])
-
-
-def nodal_forces(grid: CellGrid, surface: Surface, conditions: Sequence[Condition]) -> Float32[np.ndarray, "loads 3 n"]:
+def nodal_forces(
+    grid: CellGrid, occupancy: Occupancy, conditions: Sequence[Condition]
+) -> Float32[np.ndarray, "loads 3 n"]:
     """Work-equivalent nodal forces of loads; those of each sum to Λ times its direction.
 
     The traction is weighted (1 − r²/R²)² over the surface within R of the contact, as seen along the normal there: the
@@ -76,45 +41,97 @@ def nodal_forces(grid: CellGrid, surface: Surface, conditions: Sequence[Conditio
 
     Args:
         grid: Cells of the body.
-        surface: Of the body.
+        occupancy: The body.
         conditions: See `service.core.condition`.
     """
-    weights = np.empty(surface.points.shape[1], np.float32)
+    voxels = np.ascontiguousarray(occupancy).view(np.uint8)
     result = np.empty((len(conditions), 3, len(grid.nodes)), np.float32)
     for condition, force in zip(conditions, result, strict=True):
         contact, direction, load = condition[:3], condition[3:6], 10.0 ** np.float64(condition[6])
-        pushed = _patch(surface.points, surface.outward, contact, np.float32(max(condition[8], MIN_RADIUS)), weights)
-        if pushed:
-            share = grid.at_nodes(surface.points, weights)
-        else:
-            share = grid.at_nodes(surface.nearest_voxel(contact.astype(np.float64)), np.ones(1, np.float32))
+        radius = np.float32(max(condition[8], MIN_RADIUS))
+        points, weights = _patch(voxels, grid.floor, np.ascontiguousarray(contact), radius)
+        if not weights.any():
+            points, weights = _nearest_voxel(occupancy, contact), np.ones(1, np.float32)
+        share = grid.at_nodes(points, weights)
         force[...] = (load * direction.astype(np.float64))[:, None] * (share / share.sum())
     return result
 
 
+def _nearest_voxel(occupancy: Occupancy, place: Float32[np.ndarray, "3"]) -> Points:
+    """Centre of the voxel nearest to a place."""
+    centres = ((np.argwhere(occupancy) + 0.5) / GRID_SIZE).astype(np.float32)
+    return np.asarray(centres[np.argmin(((centres - place) ** 2).sum(axis=1))][:, None])
+
+
 @compiled
 def _patch(
-    points: Points, outward: Points, contact: Float32[np.ndarray, "3"], radius: np.float32,
-    weights: Float32[np.ndarray, " k"],
-) -> bool:  # fmt: skip
-    """Write the weight of every point of the surface in a load; False where all are zero."""
+    occupancy: Bytes, floor: int, contact: Float32[np.ndarray, "3"], radius: np.float32
+) -> tuple[Points, Float32[np.ndarray, " k"]]:
+    """Places on the surface near a contact, one for every voxel there, and the weight of each in a load.
+
+    Args:
+        occupancy: The body.
+        floor: Its lowest layer, whose voxels go on below: nothing pushes a sole from there.
+        contact: In edges of the grid.
+        radius: Of the patch.
+    """
     reach = max(radius, _NEAR)
-    x, y, z = points[0], points[1], points[2]
-    normal_x, normal_y, normal_z = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    for k in range(len(weights)):  # squared distances first
-        weights[k] = (x[k] - contact[0]) ** 2 + (y[k] - contact[1]) ** 2 + (z[k] - contact[2]) ** 2
-    for k in range(len(weights)):
-        if weights[k] < reach * reach:
-            a, b, c = outward[0, k], outward[1, k], outward[2, k]
-            share = np.exp(weights[k] * (np.float32(-0.5) / (_FACING * _FACING))) * np.sqrt(a * a + b * b + c * c)
-            normal_x, normal_y, normal_z = normal_x + share * a, normal_y + share * b, normal_z + share * c
-    pushed = False
-    for k in range(len(weights)):
-        if weights[k] < radius * radius:
-            within = np.float32(1.0) - weights[k] / (radius * radius)
-            facing = normal_x * outward[0, k] + normal_y * outward[1, k] + normal_z * outward[2, k]
-            weights[k] = within * within * max(facing, np.float32(0.0))
-            pushed = pushed or weights[k] > 0.0
-        else:
-            weights[k] = 0.0
-    return pushed
+    first, end = np.empty(3, np.int64), np.empty(3, np.int64)
+    for axis in range(3):  # a place is at most half a voxel off the centre of its voxel
+        first[axis] = int(min(max((contact[axis] - reach) * _SIZE - _ONE, _ZERO), _SIZE))
+        end[axis] = int(min(max((contact[axis] + reach) * _SIZE + _TWO, _ZERO), _SIZE))
+    normal_x, normal_y, normal_z, count = _ZERO, _ZERO, _ZERO, 0
+    for i in range(first[0], end[0]):
+        for j in range(first[1], end[1]):
+            for k in range(first[2], end[2]):
+                if occupancy[i, j, k]:
+                    a, b, c = _outward(occupancy, floor, i, j, k)
+                    squared = _squared_distance(contact, i, j, k, a, b, c)
+                    if squared < reach * reach:
+                        share = np.exp(squared * (_HALF / (-_FACING * _FACING))) * np.sqrt(a * a + b * b + c * c)
+                        normal_x, normal_y, normal_z = normal_x + share * a, normal_y + share * b, normal_z + share * c
+                        count += int(squared < radius * radius)
+    points, weights, found = np.empty((3, count), np.float32), np.empty(count, np.float32), 0
+    for i in range(first[0], end[0]):
+        for j in range(first[1], end[1]):
+            for k in range(first[2], end[2]):
+                if occupancy[i, j, k]:
+                    a, b, c = _outward(occupancy, floor, i, j, k)
+                    squared = _squared_distance(contact, i, j, k, a, b, c)
+                    if squared < radius * radius:
+                        points[0, found], points[1, found], points[2, found] = _place(i, j, k, a, b, c)
+                        within = _ONE - squared / (radius * radius)
+                        facing = normal_x * a + normal_y * b + normal_z * c
+                        weights[found] = within * within * max(facing, _ZERO)
+                        found += 1
+    return points, weights
+
+
+@compiled
+def _outward(occupancy: Bytes, floor: int, i: int, j: int, k: int) -> Vector:
+    """The gradient of the occupancy at a voxel: a normal as long as the surface is large that it stands for."""
+    last = GRID_SIZE - 1
+    a = (occupancy[i - 1, j, k] if i > 0 else 0) - (occupancy[i + 1, j, k] if i < last else 0)
+    b = (occupancy[i, j - 1, k] if j > 0 else 0) - (occupancy[i, j + 1, k] if j < last else 0)
+    c = (occupancy[i, j, k - 1] if k > floor else 1) - (occupancy[i, j, k + 1] if k < last else 0)
+    return np.float32(a), np.float32(b), np.float32(c)
+
+
+@compiled
+def _place(i: int, j: int, k: int, a: np.float32, b: np.float32, c: np.float32) -> Vector:
+    """Of the surface at a voxel, in edges of the grid: half a voxel outward from its centre."""
+    half = _HALF / np.sqrt(a * a + b * b + c * c)
+    x, y, z = np.float32(i) + _HALF + half * a, np.float32(j) + _HALF + half * b, np.float32(k) + _HALF + half * c
+    return x / _SIZE, y / _SIZE, z / _SIZE
+
+
+@compiled
+def _squared_distance(
+    contact: Float32[np.ndarray, "3"], i: int, j: int, k: int, a: np.float32, b: np.float32, c: np.float32
+) -> np.float32:
+    """From a contact to the surface at a voxel; infinite inside the body."""
+    if a == _ZERO and b == _ZERO and c == _ZERO:
+        return np.float32(np.inf)
+    x, y, z = _place(i, j, k, a, b, c)
+    x, y, z = x - contact[0], y - contact[1], z - contact[2]
+    return np.float32(x * x + y * y + z * z)

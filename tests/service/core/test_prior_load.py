@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from service.core.prior_grid import CellGrid
-from service.core.prior_load import Surface, _patch, nodal_forces
+from service.core.prior_load import _patch, nodal_forces
 
 
 def box() -> np.ndarray:
@@ -28,40 +28,35 @@ def gradient(rest: np.ndarray, floor: int) -> np.ndarray:
     return np.stack([np.roll(padded, 1, axis) - np.roll(padded, -1, axis) for axis in range(3)], -1)[1:-1, 1:-1, 1:-1]
 
 
-@pytest.mark.parametrize("floor", [0, 5, 63])
-def test_the_surface_is_where_the_occupancy_has_a_gradient(floor: int) -> None:
+@pytest.mark.parametrize("floor", [0, 5, 50])
+@pytest.mark.parametrize("contact", [(0.16, 0.4, 0.8), (0.98, 0.5, 0.8), (0.5, 0.01, 0.78)])
+def test_a_patch_weighs_the_surface_as_the_formula_says(floor: int, contact: tuple[float, float, float]) -> None:
+    """The surface is where the occupancy has a gradient."""
     rest = np.random.default_rng(floor).random((64, 64, 64)) < 0.02
-    rest[10:60, 20:, 30:] = True
+    rest[10:, :50, 20:] = True
     rest[:, :, :floor] = False
     rest[5, 5, floor] = True
-    surface, normals = Surface.of(CellGrid.fit(rest, 125), rest), gradient(rest, floor)
+    near, radius = np.array(contact, np.float32), 0.1
+    points, weights = _patch(rest.view(np.uint8), floor, near, np.float32(radius))
+    normals = gradient(rest, floor)
     voxels = np.argwhere(rest & normals.any(axis=-1))
     outward = normals[tuple(voxels.T)]
-    np.testing.assert_array_equal(surface.outward.T, outward)
-    places = (voxels + 0.5 + 0.5 * outward / np.linalg.norm(outward, axis=1, keepdims=True)) / 64
-    np.testing.assert_allclose(surface.points.T, places, atol=1e-6)
-
-
-def test_a_patch_weighs_the_surface_as_the_formula_says() -> None:
-    rest = box()
-    grid = CellGrid.fit(rest, 125)
-    surface = Surface.of(grid, rest)
-    contact, radius = np.array([0.26, 0.4, 0.6], np.float32), np.float32(0.1)
-    weights = np.empty(surface.points.shape[1], np.float32)
-    assert _patch(surface.points, surface.outward, contact, radius, weights)
-    squared = ((surface.points - contact[:, None]) ** 2).sum(axis=0)
-    length = np.linalg.norm(surface.outward, axis=0)
-    near = squared < max(radius, 4 * 1.4 / 64) ** 2
-    normal = (surface.outward * (np.exp(-0.5 * squared / (1.4 / 64) ** 2) * length * near)).sum(axis=1)
-    expected = np.maximum(1.0 - squared / radius**2, 0.0) ** 2 * np.maximum(normal @ surface.outward, 0.0)
-    np.testing.assert_allclose(weights, expected, atol=1e-4 * expected.max())
+    length = np.linalg.norm(outward, axis=1)
+    places = (voxels + 0.5 + 0.5 * outward / length[:, None]) / 64
+    squared = ((places - near) ** 2).sum(axis=1)
+    share = np.exp(-0.5 * squared / (1.4 / 64) ** 2) * length * (squared < max(radius, 4 * 1.4 / 64) ** 2)
+    expected = np.maximum(1.0 - squared / radius**2, 0.0) ** 2 * np.maximum(outward @ (share @ outward), 0.0)
+    inside = squared < radius**2
+    assert weights.max() > 0.0
+    np.testing.assert_allclose(points.T, places[inside], atol=1e-6)
+    np.testing.assert_allclose(weights, expected[inside], atol=1e-4 * expected.max())
 
 
 def test_nodal_forces_sum_to_the_load() -> None:
     rest = box()
     grid = CellGrid.fit(rest, 125)
     loads = [push((0.5, 0.5, 0.625)), push((0.25, 0.4, 0.3)), push((0.75, 0.6, 0.02), 0.2)]
-    forces = nodal_forces(grid, Surface.of(grid, rest), loads)
+    forces = nodal_forces(grid, rest, loads)
     for i in range(3):
         np.testing.assert_allclose(forces[i].sum(axis=1), [6e-4, 0.0, -8e-4], atol=1e-9)
 
@@ -70,7 +65,7 @@ def test_nodal_forces_sum_to_the_load() -> None:
 def test_a_patch_in_the_middle_of_a_face_acts_at_its_contact(contact: tuple[float, float, float]) -> None:
     rest = box()
     grid = CellGrid.fit(rest, 125)
-    force = nodal_forces(grid, Surface.of(grid, rest), [push(contact)])[0]
+    force = nodal_forces(grid, rest, [push(contact)])[0]
     np.testing.assert_allclose(centre(grid, force), contact, atol=2e-3)
 
 
@@ -79,7 +74,7 @@ def test_beside_the_foot_the_sole_and_the_edge_carry_nothing() -> None:
     16 R/(35 π)·2 = 0.291 R."""
     rest = box()
     grid = CellGrid.fit(rest, 125)
-    force = nodal_forces(grid, Surface.of(grid, rest), [push((0.25, 0.5, 0.0))])[0]
+    force = nodal_forces(grid, rest, [push((0.25, 0.5, 0.0))])[0]
     np.testing.assert_allclose(centre(grid, force), [0.25, 0.5, 32.0 / (35.0 * np.pi) * 0.15], atol=4e-3)
 
 
@@ -87,7 +82,7 @@ def test_only_the_side_of_a_sheet_that_faces_the_contact_is_pushed() -> None:
     rest = np.zeros((64, 64, 64), bool)
     rest[30:34, 10:54, :50] = True
     grid = CellGrid.fit(rest, 125)
-    force = nodal_forces(grid, Surface.of(grid, rest), [push((30 / 64, 0.5, 0.4), 0.2)])[0]
+    force = nodal_forces(grid, rest, [push((30 / 64, 0.5, 0.4), 0.2)])[0]
     assert centre(grid, force)[0] == pytest.approx(30 / 64, abs=1e-3)
 
 
@@ -95,7 +90,7 @@ def test_where_no_surface_is_near_the_nearest_voxel_is_pushed() -> None:
     rest = box()
     grid = CellGrid.fit(rest, 125)
     near, far = push((0.5, 0.5, 0.625)), push((0.5, 0.5, 0.98), 0.03)
-    forces = nodal_forces(grid, Surface.of(grid, rest), [near, far])
+    forces = nodal_forces(grid, rest, [near, far])
     np.testing.assert_allclose(centre(grid, forces[1]), [0.5, 0.5, 0.617], atol=0.01)
 
 

@@ -1,0 +1,25 @@
+import numpy as np
+
+from service.core.prior_moments import GAUSS_3, quadrature_weights
+
+
+def test_weights_integrate_squares_over_the_material_of_every_cell_and_over_its_sole() -> None:
+    """Every voxel's part in a cell holds ∫ xᵃ yᵇ zᶜ = Π (highᵏ⁺¹ − lowᵏ⁺¹)/(k + 1), in edges of the cell."""
+    rest = np.zeros((64, 64, 64), bool)
+    rest[3:20, 5:16, 7:40] = np.random.default_rng(0).random((17, 11, 33)) < 0.4
+    cells = (3, 2, 5)
+    weights, floor = quadrature_weights(rest, (3, 5, 7), (20, 16, 40), cells)
+    powers = [(0, 0, 0), (1, 0, 0), (0, 2, 1), (2, 2, 2)]
+    integrals = []  # (power, cells, voxels) an axis
+    for count, size in zip(cells, (17, 11, 33), strict=True):
+        face = np.clip(np.arange(size + 1) * count / size - np.arange(count)[:, None], 0.0, 1.0)
+        integrals.append([np.diff(face ** (k + 1)) / (k + 1) for k in range(3)])
+    box = rest[3:20, 5:16, 7:40].astype(float)
+    points = np.stack(np.meshgrid(GAUSS_3, GAUSS_3, GAUSS_3, indexing="ij")).reshape(3, 27)
+    for a, b, c in powers:
+        expected = np.einsum("xi,yj,zk,ijk->xyz", integrals[0][a], integrals[1][b], integrals[2][c], box)
+        found = np.einsum("q,qxyz->xyz", points[0] ** a * points[1] ** b * points[2] ** c, weights)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
+        expected = np.einsum("xi,yj,ij->xy", integrals[0][a], integrals[1][b], box[:, :, 0])
+        found = np.einsum("q,qxy->xy", points[0, ::3] ** a * points[1, ::3] ** b, floor)
+        np.testing.assert_allclose(found, expected, atol=1e-5)
