@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
@@ -50,8 +51,11 @@ def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_fl
     columns, mean, spread = _moments(occupancy)
     upright = np.eye(3) if up is None else _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
     horizontal = upright[:, :2]
-    _, axes = np.linalg.eigh(horizontal.T @ spread @ horizontal)  # ascending variance, one axis a column
-    return _enclosing_grid(columns, grid, mean, horizontal @ axes[:, 1], upright[:, 2], on_floor)
+    (xx, xy), (_, yy) = (horizontal.T @ spread @ horizontal).tolist()
+    # Across the axis of the smallest variance, whose angle is this one.
+    angle = math.atan2(-2.0 * xy, yy - xx) / 2.0
+    x = horizontal @ np.array([-math.sin(angle), math.cos(angle)])
+    return _enclosing_grid(columns, grid, mean, x, upright[:, 2], on_floor)
 
 
 def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
@@ -112,7 +116,7 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
 
 def _enclosing_grid(columns: Columns, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
     """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
-    source_from_body = np.stack([x, cross(z, x), z], axis=1)
+    source_from_body = np.array([x, cross(z, x), z]).T
     low, high, third_moment = _extent(columns, source_from_body.T.copy(), float(x @ (mean + 0.5)))
     if third_moment < 0.0:
         source_from_body[:, :2] *= -1.0

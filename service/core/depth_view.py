@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import TypeAlias
 
+import cv2
 import numpy as np
 from jaxtyping import Bool, Float32
 
@@ -82,11 +83,17 @@ def view_depth(depth_m: DepthImage, intrinsics: Intrinsics, window: Window = WHO
     """Look at a window of a depth image; an empty window gives an empty view."""
     rows, columns = (side.indices(size) for side, size in zip(window, depth_m.shape, strict=True))
     grid = (slice(rows[0], rows[1], stride), slice(columns[0], columns[1], stride))
+    z_m = np.ascontiguousarray(depth_m[grid])
+    whole_x, whole_y = ray_grid(intrinsics)
     if window == WHOLE_IMAGE:
         ray_x, ray_y = _thinned_rays(intrinsics, stride)
+    elif intrinsics.distortion is None:
+        # All rows have one row's x/z and all columns one column's y/z: nothing more is fetched from memory.
+        ray_x, ray_y = np.empty_like(z_m), np.empty_like(z_m)
+        ray_x[:], ray_y[:] = whole_x[0, grid[1]], whole_y[grid[0], :1]
     else:
-        ray_x, ray_y = (np.ascontiguousarray(image[grid]) for image in ray_grid(intrinsics))
-    return DepthView(np.ascontiguousarray(depth_m[grid]), ray_x, ray_y, (rows[0], columns[0]), stride)
+        ray_x, ray_y = whole_x[grid].copy(), whole_y[grid].copy()
+    return DepthView(z_m, ray_x, ray_y, (rows[0], columns[0]), stride)
 
 
 @lru_cache(maxsize=8)
@@ -196,10 +203,9 @@ def _narrow(
 
 def window_around(shown: Bool[np.ndarray, "rows columns"], margin: float = 0.0, margin_px: int = 0) -> Window:
     """Box around the set pixels of an image (at least one), wider on each side by a share of itself and some pixels."""
+    column, row, columns, rows = cv2.boundingRect(shown.view(np.uint8))
     sides = []
-    for axis in (1, 0):
-        places = np.flatnonzero(shown.any(axis=axis))
-        first, last = int(places[0]), int(places[-1])
-        more = max(margin_px, round(margin * (last - first + 1)))
-        sides.append(slice(max(first - more, 0), min(last + more + 1, shown.shape[1 - axis])))
+    for first, count, size in zip((row, column), (rows, columns), shown.shape, strict=True):
+        more = max(margin_px, round(margin * count))
+        sides.append(slice(max(first - more, 0), min(first + count + more, size)))
     return sides[0], sides[1]

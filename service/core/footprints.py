@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
-from service.core.depth_view import window_around
+from service.core.depth_view import DepthView, window_around
+from service.core.grids import cross
 
 CELL_M = 0.004
 """Edge of a cell of the map, metres."""
@@ -28,6 +29,11 @@ VESSEL_GAP_CELLS = 8
 
 REACH_CELLS = 256
 """The map reaches this far to each side of the object's place, so a metre and more."""
+
+
+_NEIGHBOURS = np.ones((3, 3), np.uint8)
+_GAP = np.ones((VESSEL_GAP_CELLS // 2 * 2 + 1,) * 2, np.uint8)
+"""What grows a footprint by a cell and by half of that gap."""
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,17 @@ class Footprints:
         found = np.empty(len(points), np.int32)
         _look_up(points, self.axes, self.corner_m, np.float32(1.0 / self.cell_m), self.labels, found)
         return found
+
+    def standing_in(
+        self, view: DepthView, where: Bool[np.ndarray, "rows columns"], label: int
+    ) -> Bool[np.ndarray, "rows columns"]:
+        """Which of the chosen readings of a view stand in one footprint."""
+        standing = np.empty(where.shape, np.bool_)
+        cells_per_m = np.float32(1.0 / self.cell_m)
+        _pick(
+            view.z_m, view.ray_x, view.ray_y, where, self.axes, self.corner_m, cells_per_m, self.labels, label, standing
+        )
+        return standing
 
     def extent_m(self, label: int) -> float:
         """Longer side of the box around one footprint, metres."""
@@ -84,9 +101,9 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
     occupied[margin:-margin, margin:-margin] = around[top : bottom + 1, left : right + 1]
     first_row, first_column = top - REACH_CELLS - margin, left - REACH_CELLS - margin
-    grown = cv2.dilate(occupied, np.ones((3, 3), np.uint8))
-    _, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
-    labels = _join_vessels(occupied, np.asarray(components, np.int32))
+    grown = cv2.dilate(occupied, _NEIGHBOURS)
+    count, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
+    labels = _join_vessels(occupied, np.asarray(components, np.int32), count)
     corner_m = axes.astype(np.float64) @ place_m + cell_m * np.array([first_row, first_column])
     return Footprints(axes, corner_m.astype(np.float32), cell_m, labels)
 
@@ -133,29 +150,57 @@ def _look_up(
         found[point] = labels[int(down), int(across)] if inside else 0
 
 
+@compiled
+def _pick(
+    z_m: Float32[np.ndarray, "rows columns"],
+    ray_x: Float32[np.ndarray, "rows columns"],
+    ray_y: Float32[np.ndarray, "rows columns"],
+    where: Bool[np.ndarray, "rows columns"],
+    axes: Float32[np.ndarray, "axes=2 3"],
+    corner_m: Float32[np.ndarray, " axes=2"],
+    cells_per_m: np.float32,
+    labels: Int32[np.ndarray, "down across"],
+    label: int,
+    standing: Bool[np.ndarray, "rows columns"],
+) -> None:
+    """As `_look_up` for a row of pixels at a time: first the cell of each, eight at once, then what stands there."""
+    nothing, high, wide = np.float32(0.0), np.float32(labels.shape[0]), np.float32(labels.shape[1])
+    cells, cell = labels.ravel(), np.empty(z_m.shape[1], np.int32)
+    for row in range(z_m.shape[0]):
+        for column in range(z_m.shape[1]):
+            z = z_m[row, column]
+            x, y = ray_x[row, column] * z, ray_y[row, column] * z
+            down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner_m[0]) * cells_per_m
+            across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner_m[1]) * cells_per_m
+            inside = (down >= nothing) & (down < high) & (across >= nothing) & (across < wide) & where[row, column]
+            down, across = (down if inside else nothing), (across if inside else nothing)
+            place = np.int32(down) * np.int32(labels.shape[1]) + np.int32(across)
+            cell[column] = np.int32(place) if inside else np.int32(-1)
+        for column in range(z_m.shape[1]):
+            standing[row, column] = cell[column] >= 0 and cells[np.uint32(cell[column])] == label
+
+
 def _join_vessels(
-    occupied: UInt8[np.ndarray, "rows columns"], labels: Int32[np.ndarray, "rows columns"]
+    occupied: UInt8[np.ndarray, "rows columns"], labels: Int32[np.ndarray, "rows columns"], count: int
 ) -> Int32[np.ndarray, "rows columns"]:
-    """Give the footprints around each enclosed hole, and the hole, one label."""
+    """Give the footprints around each enclosed hole, and the hole, one label; the labels are less than `count`."""
     reach = VESSEL_GAP_CELLS // 2
-    closed = cv2.dilate(occupied, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
-    count, holes, stats, _ = cv2.connectedComponentsWithStats(1 - closed, connectivity=4, ltype=cv2.CV_32S)
+    closed = cv2.dilate(occupied, _GAP)
+    areas, holes, stats, _ = cv2.connectedComponentsWithStats(1 - closed, connectivity=4, ltype=cv2.CV_32S)
     # The outside touches the corner of the map, whose margin is free.
     outside = holes[0, 0]
-    labels = labels.copy()
-    for hole in range(1, count):
+    for hole in range(1, areas):
         if hole == outside:
             continue
-        left, top, width, height = (int(stats[hole, column]) for column in range(4))
+        left, top, width, height, _ = stats[hole].tolist()
         around = (slice(top - reach, top + height + reach), slice(left - reach, left + width + reach))
-        kernel = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
-        inside = cv2.dilate((holes[around] == hole).astype(np.uint8), kernel) > 0
-        shares = np.bincount(labels[around][inside], minlength=int(labels.max()) + 1)
-        shares[0] = 0
+        inside = cv2.dilate((holes[around] == hole).view(np.uint8), _GAP).view(np.bool_)
+        shares = np.bincount(labels[around][inside], minlength=count).tolist()
         # A neighbour seen through a gap of the wall is no part of it.
-        walls = np.flatnonzero(shares > 0.1 * shares.sum())
-        if len(walls):
-            same = np.arange(len(shares), dtype=np.int32)
+        least = 0.1 * sum(shares[1:])
+        walls = [label for label in range(1, count) if shares[label] > least]
+        if walls:
+            same = np.arange(count, dtype=np.int32)
             same[walls] = walls[0]
             labels = same[labels]
             labels[around][inside] = walls[0]
@@ -165,10 +210,7 @@ def _join_vessels(
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:
     """Two unit vectors across `up`; any will do."""
     # The cross product of `up` and the axis it has least of, and of `up` and that.
-    across = int(np.argmin(np.abs(up)))
-    after, last = (across + 1) % 3, (across + 2) % 3
-    first = np.zeros(3)
-    first[after], first[last] = up[last], -up[after]
-    first /= math.hypot(up[after], up[last])
-    x, y, z = first
-    return np.array([first, (up[1] * z - up[2] * y, up[2] * x - up[0] * z, up[0] * y - up[1] * x)], np.float32)
+    least = int(np.argmin(np.abs(up)))
+    first = cross(up, np.eye(3)[least])
+    first /= math.hypot(*first)
+    return np.array([first, cross(up, first)], np.float32)

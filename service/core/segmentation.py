@@ -173,8 +173,7 @@ def _segment_cluster(
     shown = on_surface(view.z_m)
     if support is not None:
         shown &= support.clearance(view) > 1.0
-    kept = footprints.label_of(view.points(shown)) == label
-    return _finish(view, narrowed(shown, kept), intrinsics, support, up)
+    return _finish(view, footprints.standing_in(view, shown, label), intrinsics, support, up)
 
 
 def _find_object(

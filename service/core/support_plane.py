@@ -152,8 +152,8 @@ def _hypotheses(
     points: Points, weights: Float32[np.ndarray, " n"], up: Vector3 | None
 ) -> tuple[Float32[np.ndarray, "axis=3 k"], Float32[np.ndarray, " k"]]:
     """Planes through triples of points drawn by weight, with the camera above them; level ones too if `up` is known."""
-    cumulative = np.cumsum(weights, dtype=np.float64)
-    drawn = np.minimum(np.searchsorted(cumulative, _draws() * cumulative[-1]), len(points) - 1)
+    drawn = np.empty((3, HYPOTHESES), np.int64)
+    _draw(weights, _draws(), drawn)
     planes = np.empty((4, HYPOTHESES))
     planes = planes[:, : _planes_through(points, drawn, planes)]
     if up is not None:
@@ -163,6 +163,28 @@ def _hypotheses(
         planes = np.concatenate([level, upright], axis=1)
     normals_and_offsets = planes.astype(np.float32, order="C")
     return normals_and_offsets[:3], normals_and_offsets[3]
+
+
+@compiled
+def _draw(
+    weights: Float32[np.ndarray, " n"], draws: Float64[np.ndarray, "corner=3 k"], drawn: Int64[np.ndarray, "corner=3 k"]
+) -> None:
+    """The point that each draw, a share of the weight of all, falls on."""
+    cumulative = np.empty(len(weights), np.float64)
+    total = 0.0
+    for point in range(len(weights)):
+        total += weights[point]
+        cumulative[point] = total
+    for corner in range(3):
+        for draw in range(draws.shape[1]):
+            wanted, first, last = draws[corner, draw] * total, 0, len(weights) - 1
+            while first < last:
+                middle = (first + last) // 2
+                if cumulative[middle] < wanted:
+                    first = middle + 1
+                else:
+                    last = middle
+            drawn[corner, draw] = first
 
 
 @compiled
@@ -236,22 +258,25 @@ def _average(
 ) -> int:
     """Weighted centre and covariance of the points on a plane, how many there are; zeros stay where there are none."""
     count, total = 0, 0.0
+    x_sum = y_sum = z_sum = xx = xy = xz = yy = yz = zz = 0.0  # variables, since sums in arrays wait for the memory
     for point in range(len(points)):
+        x, y, z = np.float64(points[point, 0]), np.float64(points[point, 1]), np.float64(points[point, 2])
         height_m = normal[0] * points[point, 0] + normal[1] * points[point, 1] + normal[2] * points[point, 2] + offset_m
         if abs(height_m) < plane_tolerance_m(points[point, 2]):
             count += 1
-            total += weights[point]
-            for i in range(3):
-                weighted = np.float64(weights[point]) * points[point, i]
-                centre[i] += weighted
-                for j in range(3):
-                    covariance[i, j] += weighted * points[point, j]
+            weight = np.float64(weights[point])
+            total += weight
+            x_sum, y_sum, z_sum = x_sum + weight * x, y_sum + weight * y, z_sum + weight * z
+            xx, xy, xz = xx + weight * x * x, xy + weight * x * y, xz + weight * x * z
+            yy, yz, zz = yy + weight * y * y, yz + weight * y * z, zz + weight * z * z
     if count > 0:
-        for i in range(3):
-            centre[i] /= total
-        for i in range(3):
-            for j in range(3):
-                covariance[i, j] = covariance[i, j] / total - centre[i] * centre[j]
+        mean_x, mean_y, mean_z = x_sum / total, y_sum / total, z_sum / total
+        centre[0], centre[1], centre[2] = mean_x, mean_y, mean_z
+        covariance[0, 0], covariance[1, 1] = xx / total - mean_x * mean_x, yy / total - mean_y * mean_y
+        covariance[2, 2] = zz / total - mean_z * mean_z
+        covariance[0, 1] = covariance[1, 0] = xy / total - mean_x * mean_y
+        covariance[0, 2] = covariance[2, 0] = xz / total - mean_x * mean_z
+        covariance[1, 2] = covariance[2, 1] = yz / total - mean_y * mean_z
     return count
 
 

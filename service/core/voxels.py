@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,9 @@ surface point lies at most √3/2 voxels before it."""
 
 _BLOCK = 256
 """Points that are taken at a time."""
+
+_LOOKING, _IMAGE_TOP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
+"""The optical axis and the way up in the image, in the camera frame."""
 
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
@@ -79,16 +83,14 @@ def _rule_out(probability: Probability, free: Occupancy, layers: int) -> None:
 
 def view_axes(up: Vector3) -> Transform:
     """Rotation camera_from_view: z against gravity, x along the viewing direction made horizontal, right-handed."""
-    z = up / np.linalg.norm(up)
-    optical_axis = np.array([0.0, 0.0, 1.0])
-    x = optical_axis - (optical_axis @ z) * z
-    if np.linalg.norm(x) < HORIZONTAL_VIEW:
+    z = up / math.sqrt(float(up @ up))
+    x = _LOOKING - float(z[2]) * z
+    if float(x @ x) < HORIZONTAL_VIEW**2:
         # Straight down: the top of the image (-y) takes the place of "away from the camera".
-        image_top = np.array([0.0, -1.0, 0.0])
-        x = image_top - (image_top @ z) * z
-    x /= np.linalg.norm(x)
+        x = _IMAGE_TOP + float(z[1]) * z
+    x /= math.sqrt(float(x @ x))
     camera_from_view = np.eye(4)
-    camera_from_view[:3, :3] = np.stack([x, cross(z, x), z], axis=1)
+    camera_from_view[:3, 0], camera_from_view[:3, 1], camera_from_view[:3, 2] = x, cross(z, x), z
     return camera_from_view
 
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from service.core.camera import back_project
+import numpy as np
+import pytest
+
+from service.core.camera import back_project, ray_grid
 from service.core.depth_view import JUMP_M, JUMP_PER_DEPTH, WHOLE_IMAGE, narrowed, on_surface, view_depth, window_around
 from tests.synthetic_scenes import CAMERA, Box, render
 
@@ -15,6 +18,14 @@ def test_points_of_a_whole_view_are_those_of_the_camera() -> None:
     view = view_depth(SCENE.depth_m, CAMERA)
     readable = np.isfinite(view.z_m)
     np.testing.assert_array_equal(view.points(readable), back_project(SCENE.depth_m, CAMERA))
+
+
+@pytest.mark.parametrize("distortion", [None, (0.1, -0.05, 0.001, 0.002)])
+def test_rays_of_a_window_are_those_of_its_pixels(distortion: tuple[float, ...] | None) -> None:
+    camera = replace(CAMERA, distortion=distortion)
+    view = view_depth(SCENE.depth_m, camera, (slice(100, 300), slice(50, 400)), 3)
+    for ray, whole in zip((view.ray_x, view.ray_y), ray_grid(camera), strict=True):
+        np.testing.assert_array_equal(ray, whole[100:300:3, 50:400:3])
 
 
 def test_thinned_window_reads_the_pixels_it_names() -> None:
