@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import signal
@@ -142,3 +143,17 @@ def test_a_signal_ends_it_with_0_and_only_the_ready_line_on_stdout(number):
     assert process.returncode == 0, errors
     assert out == ""
     assert "Traceback" not in errors
+
+
+@pytest.mark.skipif(not hasattr(ctypes.CDLL(None), "mallopt"), reason="the C library is not glibc")
+def test_memory_that_an_answer_freed_serves_the_next_one():
+    """Pages that the system has to give anew, for a field of displacements that is made and thrown away ten times."""
+    program = (
+        "import resource, numpy as np; from service.app import keep_freed_memory; keep_freed_memory()\n"
+        "def faults(): return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
+        "np.ones((3, 64, 64, 64), np.float32); before = faults()\n"
+        "for _ in range(10): np.ones((3, 64, 64, 64), np.float32)\n"
+        "print(faults() - before)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, cwd=ROOT)
+    assert int(done.stdout) < 100
