@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 
 # NumPy's BLAS reads this as it is loaded: the products here are small, and its threads cost 5 ms an answer in waiting
 # for each other.
@@ -28,7 +28,12 @@ from service.core.errors import ModelMismatch, PhysNetError
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; returns its exit code (`service.commands.exits`)."""
-    given = parser().parse_args(join_negatives(sys.argv[1:] if arguments is None else arguments))
+    arguments = sys.argv[1:] if arguments is None else arguments
+    whole = parser()
+    if not arguments:
+        whole.print_help(sys.stderr)
+        return USAGE
+    given = whole.parse_args(join_negatives(arguments))
     try:
         return int(given.run(given))
     except UsageError as error:
@@ -42,7 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return OK
     except KeyboardInterrupt:
         return INTERRUPTED
-    except (OSError, ModuleNotFoundError) as error:
+    except OSError as error:
+        if error.filename is None:
+            return _fail(str(error), FAILED)
+        return _fail(f"{error.filename}: {str(error.strerror).lower()}", USAGE)
+    except ModuleNotFoundError as error:
         return _fail(str(error), FAILED)
     except ModelMismatch as error:
         return _fail(f"{error.message} `physnet doctor` says more.", FAILED)
@@ -53,7 +62,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def parser() -> argparse.ArgumentParser:
     """The whole grammar."""
     whole = argparse.ArgumentParser(
-        prog="physnet", description="From one depth frame to the shape an object takes under a push.", epilog=EPILOG
+        prog="physnet", description="From one depth frame to the shape an object takes under a push.", epilog=EPILOG,
+        formatter_class=_Commands,
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="say which version this is, and leave")
     commands = whole.add_subparsers(required=True, metavar="COMMAND", title="commands")
@@ -67,6 +77,17 @@ def parser() -> argparse.ArgumentParser:
     add_doctor(commands)
     add_completion(commands, whole)
     return whole
+
+
+class _Commands(argparse.HelpFormatter):
+    """Commands as a list, each with its line beside it, not below."""
+
+    def _format_action(self, action: argparse.Action) -> str:
+        text = super()._format_action(action)
+        return text.partition("\n")[2] if isinstance(action, argparse._SubParsersAction) else text
+
+    def _iter_indented_subactions(self, action: argparse.Action) -> Generator[argparse.Action, None, None]:
+        yield from getattr(action, "_get_subactions", tuple)()
 
 
 class _Version(argparse.Action):

@@ -10,8 +10,9 @@ from typing import Any
 from service.commands.exits import EPILOG, OK, UsageError
 from service.commands.options import output_options
 from service.commands.terminal import Terminal, pascals
-from service.core.hardness import modulus_of, parse_hardness
-from service.core.materials import NEARLY_INCOMPRESSIBLE, MaterialEntry, search_materials
+from service.core.errors import UnknownMaterial
+from service.core.hardness import SHORE_00_RANGE, SHORE_A_RANGE, modulus_of, parse_hardness
+from service.core.materials import NEARLY_INCOMPRESSIBLE, MaterialEntry, material_named, search_materials
 
 
 def add_materials(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -29,9 +30,10 @@ def add_materials(commands: argparse._SubParsersAction[argparse.ArgumentParser])
 
 def _run(given: argparse.Namespace) -> int:
     terminal = Terminal(given.color)
-    if given.shore is not None:
-        return _shore(given, terminal)
-    found = search_materials(" ".join(given.words))
+    words = " ".join(given.words)
+    if given.shore is not None or (given.words and parse_hardness(words)):
+        return _shore(given.shore or words, given.json, terminal)
+    found = search_materials(words)
     if given.json:
         terminal.print(json.dumps({"materials": [_document(entry) for entry in found]}))
     elif len(found) == 1:
@@ -39,8 +41,16 @@ def _run(given: argparse.Namespace) -> int:
     elif found:
         _list(found, given.sources, terminal)
     else:
-        terminal.print(f"nothing is called {' '.join(given.words)!r}; try one word, or `physnet materials --shore A30`")
+        terminal.print(f"nothing is called {words!r}; names nearest to it: {_nearest(words)}")
+        terminal.print("try one word, `physnet materials` for all, or a hardness: `physnet materials --shore A30`")
     return OK
+
+
+def _nearest(words: str) -> str:
+    try:
+        return material_named(words).name or words
+    except UnknownMaterial as unknown:
+        return ", ".join(map(str, unknown.expected if isinstance(unknown.expected, list) else ()))
 
 
 def _document(entry: MaterialEntry) -> dict[str, Any]:
@@ -78,13 +88,14 @@ def _tell(entry: MaterialEntry, terminal: Terminal) -> None:
     terminal.print(f"source           {entry.source}")
 
 
-def _shore(given: argparse.Namespace, terminal: Terminal) -> int:
-    hardness = parse_hardness(given.shore)
+def _shore(text: str, as_json: bool, terminal: Terminal) -> int:
+    hardness = parse_hardness(text)
     if hardness is None:
-        raise UsageError(f"--shore: {given.shore!r} is no hardness; write A30 or 00-30")
+        a, zero = ("{:g} to {:g}".format(*known) for known in (SHORE_A_RANGE, SHORE_00_RANGE))
+        raise UsageError(f"--shore: {text!r} is not understood; write A30 (Shore A, {a}) or 00-30 (Shore 00, {zero})")
     found = modulus_of(hardness)
     low_pa, high_pa = found.young_modulus_range_pa
-    if given.json:
+    if as_json:
         document = {
             "hardness": str(hardness),
             "young_modulus_pa": found.young_modulus_pa,

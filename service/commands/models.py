@@ -9,6 +9,15 @@ from service.commands.exits import EPILOG, OK
 from service.commands.options import models_options, output_options, settings_of
 from service.commands.terminal import Terminal
 
+_FIGURES = (
+    ("iou", "IoU {:.3f}"),
+    ("iou_identity", "{:.3f} where nothing moves"),
+    ("skill", "skill {:.2f}"),
+    ("displacement_error", "displacement off by {:.1%} of the peak"),
+    ("samples", "on {:,} samples never trained on"),
+)
+"""What of a manifest's evaluation people ask for first; the card has it all."""
+
 
 def add_models(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
     """Register the command."""
@@ -37,8 +46,8 @@ def _run(given: argparse.Namespace) -> int:
         terminal.print(f"  folder     {folder}")
         terminal.print(f"  threshold  {manifest.threshold:g}")
         terminal.print(f"  trained    run {manifest.run}, exported at commit {manifest.commit[:12]}")
-        figures = {name: value for name, value in manifest.evaluation.items() if isinstance(value, float | int)}
-        if figures:
-            best = ", ".join(f"{name} {value:.3g}" for name, value in list(figures.items())[:5])
-            terminal.print(f"  figures    {best} (card: {folder / 'CARD.md'})")
+        found = manifest.evaluation
+        if figures := [words.format(found[name]) for name, words in _FIGURES if name in found]:
+            terminal.print(f"  measured   {', '.join(figures)}")
+        terminal.print(f"  card       {folder / 'CARD.md'}")
     return OK

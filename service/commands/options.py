@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 from pathlib import Path
 
+from service.commands.exits import UsageError
 from service.settings import Settings
 
 # What shtab.FILE and shtab.DIRECTORY are; written out, so that only `completion` needs shtab.
@@ -32,22 +33,34 @@ def complete_with(action: argparse.Action, completion: dict[str, str]) -> argpar
 def models_options() -> argparse.ArgumentParser:
     """Parent of commands that open models."""
     parent = argparse.ArgumentParser(add_help=False)
+    group = parent.add_argument_group("the models of this machine")
     complete_with(
-        parent.add_argument("--models", type=Path, metavar="DIR", help="directory of the models (PHYSNET_MODELS)"),
+        group.add_argument("--models", type=Path, metavar="DIR", help="directory of the models (PHYSNET_MODELS)"),
         DIRECTORY,
     )
-    parent.add_argument("--threads", type=int, metavar="N", help="threads of each network (PHYSNET_THREADS)")
+    group.add_argument("--threads", type=int, metavar="N", help="threads of each network (PHYSNET_THREADS)")
     return parent
 
 
 def output_options() -> argparse.ArgumentParser:
     """Parent of commands that print results."""
     parent = argparse.ArgumentParser(add_help=False)
-    parent.add_argument("--json", action="store_true", help="print one JSON document")
-    parent.add_argument(
+    group = parent.add_argument_group("what is printed")
+    group.add_argument("--json", action="store_true", help="print one JSON document")
+    group.add_argument(
         "--no-color", dest="color", action="store_false", help="plain text; so does NO_COLOR=1, and a pipe"
     )
     return parent
+
+
+def check_folder(option: str, path: Path) -> None:
+    """Before anything is computed: a file can only be written into a folder that is there.
+
+    Raises:
+        UsageError: It is not.
+    """
+    if not path.parent.is_dir():
+        raise UsageError(f"{option}: there is no folder {path.parent}")
 
 
 def settings_of(given: argparse.Namespace, *names: str) -> Settings:

@@ -13,7 +13,15 @@ import numpy as np
 
 from service.commands import grammar
 from service.commands.exits import EPILOG, FAILED, OK, REFUSED, UsageError
-from service.commands.options import FILE, MATERIAL, complete_with, models_options, output_options, settings_of
+from service.commands.options import (
+    FILE,
+    MATERIAL,
+    check_folder,
+    complete_with,
+    models_options,
+    output_options,
+    settings_of,
+)
 from service.commands.terminal import Terminal
 from service.core.errors import DeadlineExceeded, ModelMismatch, Overloaded, PhysNetError
 
@@ -29,8 +37,10 @@ def add_predict(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "predict", parents=[models_options(), output_options()], help="what one push does to an object", epilog=EPILOG,
         description="Answer one request, with the models of this machine or, with --server, by a running service. "
         "Vectors are in the camera's frame: x right, y down, z away from it.",
+        usage="physnet predict DEPTH --intrinsics FX,FY,CX,CY|JSON --material NAME|E,NU\n"
+        "                       --press U,V|X,Y,Z --force N|X,Y,Z [-o FILE] [options]",
     )  # fmt: skip
-    complete_with(parser.add_argument("depth", type=Path, help="depth image: 16-bit PNG or .npy"), FILE)
+    complete_with(parser.add_argument("depth", type=Path, metavar="DEPTH", help="image: 16-bit PNG or .npy"), FILE)
     complete_with(
         parser.add_argument(
             "--intrinsics", required=True, metavar="FX,FY,CX,CY|JSON", help="numbers, or a file with fx fy cx cy"
@@ -75,6 +85,9 @@ def _run(given: argparse.Namespace) -> int:
     for path in given.output:
         if path.suffix.lower() not in SUFFIXES:
             raise UsageError(f"--output: {path} must end in one of {' '.join(SUFFIXES)}")
+        check_folder("--output", path)
+    if given.picture:
+        check_folder("--picture", given.picture)
     settings = settings_of(given)
     try:
         question = grammar.question_of(given)

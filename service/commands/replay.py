@@ -12,7 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from service.commands import grammar
 from service.commands.exits import EPILOG, FAILED, OK, REFUSED, UsageError
-from service.commands.options import FILE, MATERIAL, complete_with, models_options, output_options, settings_of
+from service.commands.options import (
+    FILE,
+    MATERIAL,
+    check_folder,
+    complete_with,
+    models_options,
+    output_options,
+    settings_of,
+)
 from service.commands.terminal import Terminal
 
 if TYPE_CHECKING:
@@ -31,6 +39,8 @@ def add_replay(commands: argparse._SubParsersAction[argparse.ArgumentParser]) ->
         epilog=EPILOG, description="Send the depth frames of a ROS 1 bag, ROS 2 bag or MCAP file at their own pace to "
         "the models of this machine or, with --server, to a service, and write what came back as a recording that "
         "Foxglove or Rerun opens. The same push is asked of every frame.",
+        usage="physnet replay BAG --material NAME|E,NU --press U,V|X,Y,Z --force N|X,Y,Z\n"
+        "                      [--server URL] [-o MCAP] [options]",
     )  # fmt: skip
     complete_with(parser.add_argument("recording", type=Path, metavar="BAG", help=".bag, .mcap, or a ROS 2 bag"), FILE)
     parser.add_argument("--material", required=True, metavar="NAME|E,NU", help="a name, `Shore A 30`, or Pa,ν")
@@ -66,6 +76,9 @@ def _run(given: argparse.Namespace) -> int:
         raise ModuleNotFoundError(f"{missing.name} is missing: pip install 'physnet[replay]'") from missing
     if not (math.isfinite(given.rate) and given.rate >= 0.0):
         raise UsageError("--rate: must be a number, 0 or more")
+    for option, path in (("--output", given.output), ("--rerun", given.rerun)):
+        if path:
+            check_folder(option, path)
     terminal = Terminal(given.color)
     try:
         with ExitStack() as stack:

@@ -43,11 +43,10 @@ def open_recording(path: Path) -> Recording:
     """A recording, told by its name: `.bag` (ROS 1), `.mcap`, else a ROS 2 bag (a folder, or its `.db3`).
 
     Raises:
-        FileNotFoundError: There is none.
-        RecordingError: It cannot be read.
+        RecordingError: There is none, or it cannot be read.
     """
     if not path.exists():
-        raise FileNotFoundError(f"no recording at {path}")
+        raise RecordingError(f"there is no recording {path}")
     try:
         return McapRecording(path) if path.suffix == ".mcap" else BagRecording(path)
     except (AnyReaderError, McapError, OSError) as error:

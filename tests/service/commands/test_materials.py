@@ -36,8 +36,10 @@ def test_a_search_that_finds_one_tells_all_about_it(capsys):
 
 
 def test_a_search_that_finds_nothing_says_what_to_try(capsys):
-    assert main(["materials", "unobtainium"]) == OK
-    assert "unobtainium" in capsys.readouterr().out
+    assert main(["materials", "dragonskin"]) == OK
+    told = capsys.readouterr().out
+    assert "'dragonskin'" in told
+    assert "dragon_skin_10" in told
 
 
 def test_sources_are_listed(capsys):
@@ -58,6 +60,8 @@ def test_a_hardness_is_converted(capsys):
     told = capsys.readouterr().out
     assert "Shore A 30: Young's modulus about 1.14 MPa" in told
     assert "Gent" in told
+    assert main(["materials", "shore", "A", "30"]) == OK
+    assert capsys.readouterr().out == told
     assert main(["materials", "--shore", "00-30", "--json"]) == OK
     document = json.loads(capsys.readouterr().out)
     assert document["young_modulus_pa"] == pytest.approx(103.46e3)

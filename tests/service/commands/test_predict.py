@@ -180,9 +180,12 @@ def test_a_vector_and_a_direction_contradict_each_other(predictor, arguments, ca
 
 
 def test_files_that_are_not_there(predictor, arguments, capsys):
+    assert main([*arguments, *PUSH, "--picture", "nowhere/x.png"]) == USAGE
+    assert "--picture: there is no folder nowhere" in capsys.readouterr().err
     arguments[1] += ".missing"
-    assert main([*arguments, *PUSH]) == FAILED
-    assert "depth.png.missing" in capsys.readouterr().err
+    assert main([*arguments, *PUSH]) == USAGE
+    assert "depth.png.missing: no such file" in capsys.readouterr().err
+    assert predictor.asked == []
 
 
 @pytest.mark.parametrize("text", ["fx: 600", '{"fx": 1}', "[]"])

@@ -68,7 +68,7 @@ def test_a_real_frame_comes_through_unchanged(tmp_path):
 
 
 def test_what_cannot_be_played_is_said_in_words(tmp_path):
-    with pytest.raises(FileNotFoundError, match="no recording"):
+    with pytest.raises(RecordingError, match="no recording"):
         open_recording(tmp_path / "none.bag")
     for name in ("x.bag", "x.mcap", "x.db3"):
         (tmp_path / name).write_bytes(b"\x89MCAP0\r\n" + bytes(50))

@@ -25,7 +25,7 @@ from service.client import Answer, Camera, Push
 from service.client.frames import FrameBook
 from service.client.ros import rotation_of
 from service.client.stream import FrameStream, carry_by_calls
-from service.commands.exits import FAILED, OK, REFUSED, USAGE
+from service.commands.exits import OK, REFUSED, USAGE
 from service.core.errors import NoSupportPlane
 from service.replay.embedded import EmbeddedClient
 from service.replay.force import Force, force_of
@@ -114,7 +114,9 @@ def test_without_a_service_the_models_of_this_machine_answer(bag, embedded, caps
 
 
 def test_what_goes_wrong_has_its_exit_code(bag, embedded, tmp_path, capsys):
-    assert main(["replay", str(tmp_path / "none.bag"), *PUSH]) == FAILED
+    assert main(["replay", str(tmp_path / "none.bag"), *PUSH]) == USAGE
+    assert main(["replay", bag, *PUSH, "-o", str(tmp_path / "none" / "x.mcap")]) == USAGE
+    assert "--output: there is no folder" in capsys.readouterr().err
     assert main(["replay", bag, *PUSH, "--rate", "-1"]) == USAGE
     assert main(["replay", bag, *PUSH, "--depth", "/none"]) == USAGE
     assert main(["replay", bag, *PUSH, "--server", "nowhere"]) == USAGE
