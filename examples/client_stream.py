@@ -29,7 +29,7 @@ def main() -> None:
     depth_mm = cv2.imread(str(FRAME / "depth.png"), cv2.IMREAD_UNCHANGED)
     assert depth_mm is not None
     camera = Camera.from_json(FRAME / "intrinsics.json")
-    push = Push((0.0, 6.0, 24.0), contact_px=(365, 215))
+    push = Push((0.0, 2.0, 8.0), contact_px=(365, 215))
     random = np.random.default_rng(0)
 
     with PhysNetClient(given.url) as client, client.stream() as stream:

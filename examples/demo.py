@@ -31,7 +31,9 @@ from service.core.grids import Grid, unpack_bits
 from service.picture import deformation_picture
 
 FRAMES = Path(__file__).resolve().parent / "frames"
-START_TIMEOUT_S = 60.0
+START_TIMEOUT_S = 300.0
+"""The first start compiles, which a busy machine does slowly; later ones take three seconds."""
+
 REPEATS = 5
 
 
@@ -47,7 +49,7 @@ class Push:
 
 PUSHES = (
     Push("sugar_box", "dragon_skin_10", (385, 125), (9.0, 0.0, 4.5)),
-    Push("mug", "dragon_skin_10", (365, 215), (0.0, 6.0, 24.0)),
+    Push("mug", "dragon_skin_10", (365, 215), (0.0, 2.0, 8.0)),
     Push("bowl", "dragon_skin_10", (260, 225), (20.0, 6.0, 0.0)),
 )
 
@@ -233,7 +235,7 @@ def main() -> None:
     if given.url:
         run(given.url.rstrip("/"), given.out)
         return
-    print("starting `physnet serve` …", flush=True)
+    print("starting `physnet serve`; the first time it compiles for this processor, up to a minute …", flush=True)
     with running_service(given.out / "service.log") as url:
         print(f"ready at {url}\n", flush=True)
         run(url, given.out)

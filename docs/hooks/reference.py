@@ -6,10 +6,12 @@ MkDocs calls the `on_…` functions; everything else turns a source of truth int
 from __future__ import annotations
 
 import argparse
+import logging
 import posixpath
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,19 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     """Put in tables, and let links that leave the site say where they lead."""
     markdown = markdown.replace("<!-- materials -->", materials_table())
     return leave_site(markdown, page.file.src_uri)
+
+
+def on_post_page(output: str, page: Any, **_: Any) -> None:
+    """A page that loads something from elsewhere is a warning, and so an error: robots have no internet."""
+    for address in loaded_from_elsewhere(output):
+        logging.getLogger("mkdocs.hooks.reference").warning("%s loads %s", page.file.src_uri, address)
+
+
+def loaded_from_elsewhere(html: str) -> list[str]:
+    """Addresses of scripts, images, frames and styles of other hosts; links to read are none."""
+    sources = re.findall(r'<(?:script|img|iframe)\b[^>]*\bsrc="((?:https?:)?//[^"]*)"', html)
+    links = [link for link in re.findall(r"<link\b[^>]*>", html) if 'rel="canonical"' not in link]
+    return sources + re.findall(r'href="((?:https?:)?//[^"]*)"', "".join(links))
 
 
 def leave_site(markdown: str, page: str) -> str:
@@ -216,7 +231,7 @@ def command_reference() -> str:
     ]
     (commands,) = (action for action in whole._actions if isinstance(action, argparse._SubParsersAction))
     for name, command in commands.choices.items():
-        command.formatter_class = lambda prog: argparse.RawDescriptionHelpFormatter(prog, width=100)
+        command.formatter_class = partial(command.formatter_class, width=80)
         command.epilog = None
         lines += [f"## physnet {name}\n", f"```text\n{command.format_help().rstrip()}\n```\n"]
     return "\n".join(lines)
@@ -242,7 +257,8 @@ def materials_table() -> str:
                 (f"`{entry.name}`", mark + pascals(entry.material.young_modulus_pa), f"{low_pa} to {high_pa}",
                  f"{entry.material.poisson_ratio:g}", entry.description, entry.source)
             )  # fmt: skip
-        lines += [f"### {category.capitalize()}\n", _table(("name", "E", "range", "ν", "", "source"), rows)]
+        table = _table(("name", "E", "range", "ν", "", "source"), rows)
+        lines += [f"### {category.capitalize()}\n", f'<div class="materials" markdown>\n\n{table}\n\n</div>\n']
     return "\n".join(lines)
 
 

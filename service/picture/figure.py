@@ -26,6 +26,8 @@ except ModuleNotFoundError as missing:
 Displacement = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
 
 _DPI = 100
+_SMALL = 12.5
+"""Points: a page shows the picture at a third of its width, and words should still be read."""
 _INK = "#22262b"
 _FAINT = "#7a828c"
 _FORCE = "#d3122f"
@@ -65,7 +67,7 @@ def deformation_picture(
         contact_m: Contact in the camera frame.
         force_n: Force in the camera frame, newtons; a zero force draws no arrow.
         caption: Title line.
-        panel_px: Edge of each square panel; the whole picture is about 4.3 times as wide.
+        panel_px: Edge of each square panel; the whole picture is about 4.4 times as wide.
 
     Returns:
         A PNG.
@@ -103,11 +105,8 @@ def deformation_picture(
     _draw_arrow(axes[-1], *_arrow_in_view(grid, view, contact_m, force_n, deformed, displacement_m), None)
     for halo, width, style in (("white", 2.6, "-"), (_INK, 1.1, "--")):
         axes[-1].contour(rest_cover, levels=[0.5], colors=halo, linewidths=width, linestyles=style, alpha=0.85)
-    axes[-1].text(0.5, 0.02, "dashed: at rest", transform=axes[-1].transAxes, ha="center", color=_FAINT, fontsize=9)
-    axes[-2].text(
-        0.5, 0.02, f"lines every {line_pitch_m * 1e3:.3g} mm", transform=axes[-2].transAxes, ha="center",
-        color=_FAINT, fontsize=9,
-    )  # fmt: skip
+    for axis, note in ((axes[-1], "dashed: at rest"), (axes[-2], f"lines every {line_pitch_m * 1e3:.3g} mm")):
+        axis.text(0.5, 0.02, note, transform=axis.transAxes, ha="center", color=_FAINT, fontsize=_SMALL)
     if peak_m > 0:
         _colour_bar(figure, axes[-1], peak_m * 1e3)
     out = io.BytesIO()
@@ -117,11 +116,11 @@ def deformation_picture(
 
 def _layout(panels: int, panel_px: int, caption: str) -> tuple[Figure, list[Axes]]:
     """Square axes in one row, one image pixel a figure pixel; room for the title above and the colour bar beside."""
-    gap, top, bottom, left, right = 14, 74, 10, 14, 92
+    gap, top, bottom, left, right = 14, 84, 10, 14, 110
     width = left + right + panels * panel_px + (panels - 1) * gap
     height = top + bottom + panel_px
     figure = Figure(figsize=(width / _DPI, height / _DPI), dpi=_DPI, facecolor="white")
-    figure.text(left / width, 1 - 18 / height, caption, ha="left", va="top", fontsize=14, color=_INK, weight="bold")
+    figure.text(left / width, 1 - 16 / height, caption, ha="left", va="top", fontsize=19, color=_INK, weight="bold")
     axes = []
     for panel in range(panels):
         x = left + panel * (panel_px + gap)
@@ -132,7 +131,7 @@ def _layout(panels: int, panel_px: int, caption: str) -> tuple[Figure, list[Axes
 
 
 def _title(axis: Axes, title: str) -> None:
-    axis.set_title(title, fontsize=11.5, color=_FAINT, loc="left", pad=5)
+    axis.set_title(title, fontsize=15, color=_FAINT, loc="left", pad=5)
 
 
 def _draw_frame(
@@ -166,7 +165,7 @@ def _draw_frame(
     axis.set_autoscale_on(False)
     axis.set_xlim(corner_u - 0.5, corner_u + side - 0.5)
     axis.set_ylim(corner_v + side - 0.5, corner_v - 0.5)
-    _title(axis, f"depth frame, {low:.2f} m (red) to {high:.2f} m (blue)")
+    _title(axis, f"depth: red {low:.2f} m, blue {high:.2f} m")
 
     def pixel(place_m: Vector3) -> tuple[float, float]:
         return float(fx * place_m[0] / place_m[2] + cx), float(fy * place_m[1] / place_m[2] + cy)
@@ -219,8 +218,8 @@ def _draw_arrow(axis: Axes, tail: tuple[float, float], tip: tuple[float, float],
         away = np.array([tail[0] - tip[0], tip[1] - tail[1]])
         away = away / np.hypot(*away) if np.hypot(*away) > 12 else np.array([0.0, 1.0])
         axis.annotate(
-            label, tail, xytext=tuple(away * (24, 12)), textcoords="offset points", ha="center", va="center",
-            color=_FORCE, fontsize=11, weight="bold", path_effects=[withStroke(linewidth=3, foreground="white")],
+            label, tail, xytext=tuple(away * (32, 15)), textcoords="offset points", ha="center", va="center",
+            color=_FORCE, fontsize=15, weight="bold", path_effects=[withStroke(linewidth=3, foreground="white")],
             zorder=7,
         )  # fmt: skip
 
@@ -241,8 +240,8 @@ def _colour_bar(figure: Figure, beside: Axes, peak_mm: float) -> None:
     axis = figure.add_axes((box.x1 + 0.006, box.y0 + 0.12 * box.height, 0.007, 0.7 * box.height))
     bar = figure.colorbar(ScalarMappable(Normalize(0, peak_mm), _DISPLACEMENT), cax=axis)
     bar.outline.set_visible(False)
-    axis.tick_params(labelsize=9, colors=_INK, length=2)
-    axis.set_title("mm", fontsize=9.5, color=_INK, loc="left", pad=6)
+    axis.tick_params(labelsize=_SMALL, colors=_INK, length=2)
+    axis.set_title("mm", fontsize=_SMALL, color=_INK, loc="left", pad=6)
 
 
 def _beyond_surface(values: Field, inside: Occupancy) -> Field:

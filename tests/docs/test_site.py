@@ -149,3 +149,10 @@ def test_links_between_files_lead_somewhere(page):
         if target.startswith("http") or any(target.endswith(name) for name in generated):
             continue
         assert ((ROOT / page).parent / target).exists(), f"{page} links to {target}, which is not there"
+
+
+def test_what_a_page_loads_from_elsewhere_is_found(reference):
+    page = """<script src="https://a.example/x.js"></script><script src="assets/y.js"></script>
+        <link rel="stylesheet" href="//b.example/z.css"><link rel="canonical" href="https://c.example/">
+        <link rel="icon" href="assets/i.png"><a href="https://d.example/">read</a>"""
+    assert reference.loaded_from_elsewhere(page) == ["https://a.example/x.js", "//b.example/z.css"]

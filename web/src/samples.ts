@@ -12,7 +12,7 @@ export interface Sample {
 }
 
 export const SAMPLES: readonly Sample[] = [
-  { id: "mug", name: "Mug", material: "dragon_skin_10", contact: [365, 215], forceN: [0, 6, 24] },
+  { id: "mug", name: "Mug", material: "dragon_skin_10", contact: [365, 215], forceN: [0, 2, 8] },
   { id: "bowl", name: "Bowl", material: "dragon_skin_10", contact: [260, 225], forceN: [20, 6, 0] },
   { id: "sugar_box", name: "Sugar box", material: "dragon_skin_10", contact: [385, 125], forceN: [9, 0, 4.5] },
 ];

@@ -63,8 +63,8 @@ def _picture(**changes: object) -> np.ndarray:
 
 
 def _panel(image: np.ndarray, from_right: int) -> np.ndarray:
-    left = image.shape[1] - 92 - (from_right + 1) * PANEL_PX - from_right * 14
-    return np.asarray(image[74 : 74 + PANEL_PX, left : left + PANEL_PX].astype(int))
+    left = image.shape[1] - 110 - (from_right + 1) * PANEL_PX - from_right * 14
+    return np.asarray(image[84 : 84 + PANEL_PX, left : left + PANEL_PX].astype(int))
 
 
 def _red(panel: np.ndarray) -> np.ndarray:
@@ -78,7 +78,7 @@ def image() -> np.ndarray:
 
 
 def test_there_are_four_panels_of_equal_size(image: np.ndarray) -> None:
-    assert image.shape == (74 + PANEL_PX + 10, 14 + 4 * PANEL_PX + 3 * 14 + 92, 3)
+    assert image.shape == (84 + PANEL_PX + 10, 14 + 4 * PANEL_PX + 3 * 14 + 110, 3)
 
 
 def test_every_panel_but_the_observed_carries_the_force(image: np.ndarray) -> None:
@@ -115,7 +115,7 @@ def test_without_a_displacement_there_is_one_colour_and_no_bar() -> None:
 
 def test_a_known_shape_has_two_panels_and_no_frame() -> None:
     image = _picture(depth_m=None, intrinsics=None, observed=None)
-    assert image.shape[1] == 14 + 2 * PANEL_PX + 14 + 92
+    assert image.shape[1] == 14 + 2 * PANEL_PX + 14 + 110
 
 
 def test_a_frame_without_any_reading_and_no_force_are_drawn() -> None:
