@@ -126,7 +126,7 @@ def linear_samples(body: Body, count: int, rng: np.random.Generator, make: Calla
             share = block_means(result.at_rest, stress)
             columns["von_mises"] = (share / share.max()).astype(np.float16)
             fields = {
-                "displacement": (np.flatnonzero(result.deformed), result.moved_here),
+                "displacement": (result.deformed_at, result.moved_here),
                 "forward": (result.at_rest, result.moved_from),
             }
             for name, (index, values) in fields.items():

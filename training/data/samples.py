@@ -117,7 +117,7 @@ class Sample:
             location: Of the force along the top, as the paper encodes it: which of how many, and from 0 to 1; −1 and
                 NaN where it is anywhere.
         """
-        backward, covered = coarsen(np.flatnonzero(result.deformed), result.moved_here)
+        backward, covered = coarsen(result.deformed_at, result.moved_here)
         forward, at_rest = coarsen(result.at_rest, result.moved_from)
         backward, backward_nodes = extend(backward, covered > 0)
         forward, forward_nodes = extend(forward, at_rest > 0)

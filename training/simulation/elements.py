@@ -11,6 +11,7 @@ displacement along axis i; component 3·i + j of a deformation gradient is F_ij 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -116,6 +117,8 @@ class Hexahedron:
     Source: finite cells: Parvizian, Düster and Rank, Comput. Mech. 41 (2007).
     """
 
+    internal: int
+
     def __init__(self, cell_edge: float, octant_fill: Float64[np.ndarray, "8 cells"], poisson_ratio: float) -> None:
         self.mu, self.lam = material_law.lame(poisson_ratio)
         volume = cell_edge**3
@@ -128,7 +131,6 @@ class Hexahedron:
                 operator[:, 3 * i + j, i::3] = gradients[:, :, j]
         self.operator = operator  # (gauss, 9, 24): displacements to displacement gradient
         self.operator_flat = operator.reshape(72, 24)
-        self.congruence = _congruence_table(operator)
         # The empty part of a cell is filled with a linear material of almost no stiffness: its Gauss points may turn
         # inside out without a cost, which an energy with ln J could not bear.
         self.void = VOID_STIFFNESS * (1.0 - octant_fill.mean(axis=0))
@@ -137,6 +139,11 @@ class Hexahedron:
         strain = 0.5 * (operator + transposed)
         self._void_matrix = np.einsum("gca,gcb->ab", strain, strain) * volume / 8.0
         self._void_pairs = self._void_matrix[PAIRS_24][:, None]
+
+    @cached_property
+    def congruence(self) -> Float64[np.ndarray, "300 360"]:
+        """Constant matrix taking the 8 × 45 symmetric moduli of a cell to its 300 stiffness entries, Σ Gᵀ A G."""
+        return _congruence_table(self.operator)
 
     def deformation_gradient(self, displacements: Float64[np.ndarray, "24 cells"]) -> Float64[np.ndarray, "8 9 cells"]:
         """F at the Gauss points."""
@@ -204,7 +211,6 @@ def inverted(
 
 
 def _congruence_table(operator: Float64[np.ndarray, "8 9 24"]) -> Float64[np.ndarray, "300 360"]:
-    """Constant matrix taking the 8 × 45 symmetric moduli of a cell to its 300 stiffness entries, Σ Gᵀ A G."""
     rows, columns = PAIRS_24
     table = np.empty((8, 45, 300))
     for index, (c, d) in enumerate(zip(*PAIRS_9, strict=True)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -34,14 +35,15 @@ def force_for_identity_iou(
     Returns:
         The same load with another load number; None where no displacement within the cube overlaps that little.
     """
-    peak = float(np.linalg.norm(displacement[overlap.body.solid_nodes], axis=1).max(initial=0.0))
+    solid = displacement[overlap.body.solid_nodes]
+    peak = math.sqrt(float(np.einsum("ni,ni->n", solid, solid).max(initial=0.0)))
     if not 0.0 < peak < np.inf:
         return None
     along = overlap.along(displacement)
     limit = _MAX_STRETCH / peak
     low, high = 0.0, np.inf
     # 1/IoU − 1 grows with a power of the force close to one, which two looks tell: bisect when that leaves the bracket
-    wanted = np.log(1.0 / target - 1.0)
+    wanted = math.log(1.0 / target - 1.0)
     power, before = 1.0, None
     factor = 0.1 / peak
     for _ in range(_STEPS):
@@ -56,11 +58,11 @@ def force_for_identity_iou(
             high = factor
         if high - low < 1e-3 * high:
             break
-        now = (np.log(factor), np.log(max(1.0 / max(seen, 1e-3) - 1.0, 1e-3)))
+        now = (math.log(factor), math.log(max(1.0 / max(seen, 1e-3) - 1.0, 1e-3)))
         if before is not None and now[0] != before[0]:
-            power = float(np.clip((now[1] - before[1]) / (now[0] - before[0]), *_POWERS))
+            power = min(max((now[1] - before[1]) / (now[0] - before[0]), _POWERS[0]), _POWERS[1])
         before = now
-        factor *= float(np.exp((wanted - now[1]) / power))
+        factor *= math.exp((wanted - now[1]) / power)
         # where the target seems out of reach, one look at the limit decides
         factor = min(factor, limit)
         if not low < factor < high:

@@ -5,23 +5,25 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int, Int32, UInt8, UInt32
+from jaxtyping import Float32, Float64, Int, Int32, UInt8
 
 from service.core.compiled import compiled
-from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, interpolated, plain_side
+from training.simulation.sampled import EMPTY, INSIDE, NEAR, OUTSIDE, WHOLE, interpolated, plain_side
 from training.simulation.trilinear import coefficients
 
-Row: TypeAlias = tuple[float, float, float, float]
+Three: TypeAlias = tuple[np.float32, np.float32, np.float32]
+Row: TypeAlias = tuple[np.float32, np.float32, np.float32, np.float32]
 
 _ITERATIONS = 12
-_FEW = 4
-"""Iterations that settle all voxels of most cells; without a question between them they run eight voxels at a time."""
+_ROUNDS = 3
+"""Rounds of four iterations after which a cell's voxels are to be settled, known before they are solved: without a
+question between them they run eight voxels at a time."""
+_TILE = 4
+"""Voxels along two edges of what is solved at a time: a cell of 24³ has two or three along each."""
 _TOLERANCE = 1e-3
 """Local coordinates are solved to this part of a cell, 1/400 of a voxel at 24³; voxels at a shared face are kept."""
 _OUTSIDE = 0.75
 """Local coordinates, measured from the cell's centre, beyond which a voxel is given up as another cell's."""
-_SMALLEST_SLOPE = 1e-9
-"""Stands for a row of voxels that runs along a face of its cell: inside all the way or outside all the way."""
 _SMALLEST_DETERMINANT = 1e-6
 """Of a cell, in cubic voxels: one turned inside out has no inverse; the solver reports states that hold one."""
 
@@ -31,17 +33,19 @@ def material_points(
     position: Float64[np.ndarray, "nodes 3"],
     cell_nodes: Int[np.ndarray, "m 8"],
     active: Int[np.ndarray, "m 3"],
-    state: UInt8[np.ndarray, "n2 n2 n2"],
-    number: Int32[np.ndarray, "n2 n2 n2"],
+    cells: int,
+    octants: Int32[np.ndarray, "m 8"],
     polynomial: Float32[np.ndarray, "k 27"],
     doubt: Float32[np.ndarray, " k"],
     plane: Float32[np.ndarray, "k 5"],
     cautious: bool,
     size: int,
     deformed: UInt8[np.ndarray, " voxels"],
-    material: Float32[np.ndarray, "voxels 3"],
-) -> None:
-    """Mark every voxel centre whose material point lies in the body, and write that point.
+    place: Int[np.ndarray, " 2*voxels"],
+    moved: Float32[np.ndarray, "2*voxels 3"],
+    asked: Int[np.ndarray, " voxels"],
+) -> tuple[int, int]:
+    """Find every voxel centre whose material point lies in the body, and how far that point has come.
 
     The trilinear map of a cell is its value and Jacobian at the centre plus four products of the local coordinates
     ξ ∈ [−½, ½]³, y = c + A ξ + B (ξη, ηζ, ζξ, ξηζ). The fixed point ξ ← A⁻¹(y − c) − A⁻¹B(ξη, ηζ, ζξ, ξηζ) converges
@@ -51,54 +55,89 @@ def material_points(
         position: Deformed nodes, in voxel indices.
         cell_nodes: Corners 4·dx + 2·dy + dz of every cell.
         active: Index (i, j, k) of every cell at rest.
-        state: See `SampledDistance`.
-        number: See `SampledDistance`.
+        cells: Cells along each edge of the cube.
+        octants: See `SampledDistance.octants_of`.
         polynomial: See `SampledDistance`.
         doubt: See `SampledDistance`.
         plane: See `SampledDistance`.
         cautious: Leave `NEAR` what only the distance itself can tell; else interpolation tells.
         size: Voxels along each edge of the cube.
         deformed: `OUTSIDE` before; written `INSIDE` or `NEAR`.
-        material: Written where not `OUTSIDE`, in units of L; else left as it is.
+        place: Written: places in the flat grid of what was found, cell by cell. A voxel on the border of cells stands
+            there once where one of them is sure of its material, and once more where another has a doubt.
+        moved: Written: displacements of the material there, in units of L.
+        asked: Written: rows of `place` that are `NEAR`, ascending.
+
+    Returns:
+        How many rows of `place` and of `asked` are written.
     """
-    edge = 2.0 / state.shape[0]
-    bound = 0.5 + _TOLERANCE
+    bound = np.float32(0.5 + _TOLERANCE)
     terms, inverse, curved = np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 4))
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
-    u, v, w, voxel = np.empty(0), np.empty(0), np.empty(0), np.empty(0, np.uint32)
+    local = np.empty(3 * _TILE * _TILE, np.float32)
+    count, doubtful = 0, 0
     for cell in range(len(active)):
         if not (_expand(position, cell_nodes, cell, size, terms, first, last) and _invert(terms, inverse, curved)):
             continue
-        most = (last[0] - first[0] + 1) * (last[1] - first[1] + 1) * (last[2] - first[2] + 1)
-        if most > len(u):
-            u, v, w, voxel = np.empty(most), np.empty(most), np.empty(most), np.empty(most, np.uint32)
-        count = _candidates(terms, inverse, curved, first, last, size, u, v, w, voxel)
-        _solve(curved, u[:count], v[:count], w[:count])
-        ai, aj, ak = active[cell, 0], active[cell, 1], active[cell, 2]
-        for row in range(count):
-            x, y, z = u[row], v[row], w[row]
-            if not (abs(x) <= bound and abs(y) <= bound and abs(z) <= bound):
-                continue
-            a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
-            i, j, k = 2 * ai + a, 2 * aj + b, 2 * ak + c
-            side = int(state[i, j, k])
-            if side == NEAR:
-                # within this loop: handing five tables to a function takes longer than most of the answers
-                octant = number[i, j, k]
-                p, q, r = 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c
-                side = plain_side(plane, octant, p, q, r)
-                if side == NEAR:
-                    value = interpolated(polynomial, octant, p, q, r)
-                    if not cautious or abs(value) > doubt[octant]:
-                        side = INSIDE if value < 0.0 else OUTSIDE
-            # of two cells that meet in a voxel one that is sure of its material decides
-            place = voxel[row]
-            if side == OUTSIDE or (side == NEAR and deformed[place] == INSIDE):
-                continue
-            deformed[place] = side
-            material[place, 0] = (ai + 0.5 + x) * edge
-            material[place, 1] = (aj + 0.5 + y) * edge
-            material[place, 2] = (ak + 0.5 + z) * edge
+        whole = True
+        for octant in range(8):
+            whole = whole and octants[cell, octant] == WHOLE
+        # what stays the same for all voxels of the cell, in the precision in which they are solved
+        xs = (np.float32(curved[0, 0]), np.float32(curved[0, 1]), np.float32(curved[0, 2]), np.float32(curved[0, 3]))
+        ys = (np.float32(curved[1, 0]), np.float32(curved[1, 1]), np.float32(curved[1, 2]), np.float32(curved[1, 3]))
+        zs = (np.float32(curved[2, 0]), np.float32(curved[2, 1]), np.float32(curved[2, 2]), np.float32(curved[2, 3]))
+        rounds = _rounds(xs, ys, zs)
+        along_y = (np.float32(inverse[0, 1]), np.float32(inverse[1, 1]), np.float32(inverse[2, 1]))
+        along_z = (np.float32(inverse[0, 2]), np.float32(inverse[1, 2]), np.float32(inverse[2, 2]))
+        for i in range(first[0], last[0] + 1):
+            for j0 in range(first[1], last[1] + 1, _TILE):
+                for k0 in range(first[2], last[2] + 1, _TILE):
+                    di, dj, dk = i - terms[0, 0], j0 - terms[0, 1], k0 - terms[0, 2]
+                    corner = (
+                        np.float32(inverse[0, 0] * di + inverse[0, 1] * dj + inverse[0, 2] * dk),
+                        np.float32(inverse[1, 0] * di + inverse[1, 1] * dj + inverse[1, 2] * dk),
+                        np.float32(inverse[2, 0] * di + inverse[2, 1] * dj + inverse[2, 2] * dk),
+                    )
+                    if rounds > 0:
+                        _solve(corner, along_y, along_z, xs, ys, zs, rounds, local)
+                    else:
+                        _solve_slowly(corner, along_y, along_z, xs, ys, zs, local)
+                    for j in range(j0, min(j0 + _TILE, last[1] + 1)):
+                        for k in range(k0, min(k0 + _TILE, last[2] + 1)):
+                            lane = _TILE * (j - j0) + k - k0
+                            x, y, z = local[lane], local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE]
+                            if not (abs(x) <= bound and abs(y) <= bound and abs(z) <= bound):
+                                continue
+                            voxel, side = (i * size + j) * size + k, INSIDE
+                            if not whole:
+                                a, b, c = int(x > 0.0), int(y > 0.0), int(z > 0.0)
+                                row = octants[cell, 4 * a + 2 * b + c]
+                                if row == EMPTY:
+                                    continue
+                                if row >= 0:
+                                    # here: handing tables to a function takes longer than most of the answers
+                                    p, q, r = 4.0 * x + 1.0 - 2.0 * a, 4.0 * y + 1.0 - 2.0 * b, 4.0 * z + 1.0 - 2.0 * c
+                                    side = plain_side(plane, row, p, q, r)
+                                    if side == NEAR:
+                                        value = interpolated(polynomial, row, p, q, r)
+                                        if not cautious or abs(value) > doubt[row]:
+                                            side = INSIDE if value < 0.0 else OUTSIDE
+                                    if side == OUTSIDE:
+                                        continue
+                            # of two cells that meet in a voxel the first that is sure of its material decides
+                            before = deformed[voxel]
+                            if before == INSIDE or before == side:
+                                continue
+                            deformed[voxel] = side
+                            if side == NEAR:
+                                asked[doubtful] = count
+                                doubtful += 1
+                            place[count] = voxel
+                            moved[count, 0] = (i + 0.5) / size - (active[cell, 0] + 0.5 + x) / cells
+                            moved[count, 1] = (j + 0.5) / size - (active[cell, 1] + 0.5 + y) / cells
+                            moved[count, 2] = (k + 0.5) / size - (active[cell, 2] + 0.5 + z) / cells
+                            count += 1
+    return count, doubtful
 
 
 @compiled
@@ -159,92 +198,89 @@ def _invert(
 
 
 @compiled
-def _candidates(
-    terms: Float64[np.ndarray, "8 3"],
-    inverse: Float64[np.ndarray, "3 3"],
-    curved: Float64[np.ndarray, "3 4"],
-    first: Int[np.ndarray, " 3"],
-    last: Int[np.ndarray, " 3"],
-    size: int,
-    u: Float64[np.ndarray, " n"],
-    v: Float64[np.ndarray, " n"],
-    w: Float64[np.ndarray, " n"],
-    voxel: UInt32[np.ndarray, " n"],
-) -> int:
-    """Write the places of voxels that may lie in a cell and their affine local coordinates; returns how many."""
-    step, half = np.empty(3), np.empty(3)
-    for axis in range(3):
-        slope = inverse[axis, 2]
-        if abs(slope) < _SMALLEST_SLOPE:
-            slope = _SMALLEST_SLOPE
-        step[axis] = 1.0 / slope
-        half[axis] = (0.5 + _TOLERANCE + _shift(curved, axis)) * abs(step[axis])
-    # numbers in registers, where the compiler would have to read an array again after every write
-    x_step, y_step, z_step = step[0], step[1], step[2]
-    x_half, y_half, z_half = half[0], half[1], half[2]
-    xi, xj, xk = inverse[0, 0], inverse[0, 1], inverse[0, 2]
-    yi, yj, yk = inverse[1, 0], inverse[1, 1], inverse[1, 2]
-    zi, zj, zk = inverse[2, 0], inverse[2, 1], inverse[2, 2]
-    length = float(last[2] - first[2])
-    dk = first[2] - terms[0, 2]
-    count = 0
-    for i in range(first[0], last[0] + 1):
-        di = i - terms[0, 0]
-        for j in range(first[1], last[1] + 1):
-            dj = j - terms[0, 1]
-            # affine guess at the row's first voxel, and where the row runs through the widened cell
-            u0, v0, w0 = xi * di + xj * dj + xk * dk, yi * di + yj * dj + yk * dk, zi * di + zj * dj + zk * dk
-            x_middle, y_middle, z_middle = -u0 * x_step, -v0 * y_step, -w0 * z_step
-            start = max(x_middle - x_half, max(y_middle - y_half, max(z_middle - z_half, 0.0)))
-            stop = min(x_middle + x_half, min(y_middle + y_half, min(z_middle + z_half, length)))
-            if stop < start:
-                continue
-            for offset in range(int(np.ceil(start)), int(np.floor(stop)) + 1):
-                voxel[count] = (i * size + j) * size + first[2] + offset
-                u[count], v[count], w[count] = u0 + xk * offset, v0 + yk * offset, w0 + zk * offset
-                count += 1
-    return count
-
-
-@compiled
-def _shift(curved: Float64[np.ndarray, "3 4"], axis: int) -> float:
-    """The largest shift along an axis that the products of local coordinates make within a cell."""
-    pairs = abs(curved[axis, 0]) + abs(curved[axis, 1]) + abs(curved[axis, 2])
-    return float(pairs / 4.0 + abs(curved[axis, 3]) / 8.0)
+def _rounds(xs: Row, ys: Row, zs: Row) -> int:
+    """Rounds of four steps that bring every voxel of a cell to half the tolerance; 0 where too many would be needed."""
+    # sums over the rows of the derivative of the products, |ξ| ≤ ½: what an iteration leaves of an error
+    x_left = abs(xs[0]) + abs(xs[1]) + abs(xs[2]) + np.float32(0.75) * abs(xs[3])
+    y_left = abs(ys[0]) + abs(ys[1]) + abs(ys[2]) + np.float32(0.75) * abs(ys[3])
+    z_left = abs(zs[0]) + abs(zs[1]) + abs(zs[2]) + np.float32(0.75) * abs(zs[3])
+    left, error = max(x_left, y_left, z_left), max(_widening(xs), _widening(ys), _widening(zs))
+    for rounds in range(1, _ROUNDS + 1):
+        error *= left * left * left * left
+        if error <= 0.5 * _TOLERANCE:
+            return rounds
+    return 0
 
 
 @compiled
 def _solve(
-    curved: Float64[np.ndarray, "3 4"],
-    u: Float64[np.ndarray, " n"],
-    v: Float64[np.ndarray, " n"],
-    w: Float64[np.ndarray, " n"],
+    corner: Three, along_y: Three, along_z: Three, xs: Row, ys: Row, zs: Row, rounds: int,
+    local: Float32[np.ndarray, " 3*tile*tile"],
+) -> None:  # fmt: skip
+    """Write the local coordinates of a tile of voxels, x of all of them first, by a few steps of the fixed point.
+
+    Args:
+        corner: Affine local coordinates of the tile's first voxel.
+        along_y: What they grow by from voxel to voxel along y.
+        along_z: The same along z.
+        xs: What the products of local coordinates add to x, see `_improved`.
+        ys: To y.
+        zs: To z.
+        rounds: Of four steps each.
+        local: Result; NaN where a voxel is another cell's.
+    """
+    # what lies beyond the affine cell, widened by the most that the products may add, is another cell's
+    most = np.float32(0.5 + _TOLERANCE)
+    x_most, y_most, z_most = most + _widening(xs), most + _widening(ys), most + _widening(zs)
+    for first in range(rounds):
+        # sixteen voxels in single precision are two vectors of each number
+        for lane in range(_TILE * _TILE):
+            j, k = np.float32(lane // _TILE), np.float32(lane % _TILE)
+            u = corner[0] + along_y[0] * j + along_z[0] * k
+            v = corner[1] + along_y[1] * j + along_z[1] * k
+            w = corner[2] + along_y[2] * j + along_z[2] * k
+            x, y, z = u, v, w
+            if first > 0:
+                x, y, z = local[lane], local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE]
+            x, y, z = _improved(u, v, w, x, y, z, xs, ys, zs)
+            x, y, z = _improved(u, v, w, x, y, z, xs, ys, zs)
+            x, y, z = _improved(u, v, w, x, y, z, xs, ys, zs)
+            x, y, z = _improved(u, v, w, x, y, z, xs, ys, zs)
+            held = (abs(u) <= x_most) & (abs(v) <= y_most) & (abs(w) <= z_most)
+            local[lane] = x if held else np.float32(np.nan)
+            local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE] = y, z
+
+
+@compiled
+def _solve_slowly(
+    corner: Three, along_y: Three, along_z: Three, xs: Row, ys: Row, zs: Row, local: Float32[np.ndarray, " 3*tile*tile"]
 ) -> None:
-    """Turn affine local coordinates into those that solve the trilinear map; NaN where they do not settle."""
-    # sums over the rows of the derivative of the products, |ξ| ≤ ½: what an iteration leaves of an error
-    left, widest = 0.0, 0.0
-    for axis in range(3):
-        rows = abs(curved[axis, 0]) + abs(curved[axis, 1]) + abs(curved[axis, 2]) + 0.75 * abs(curved[axis, 3])
-        left, widest = max(left, rows), max(widest, _shift(curved, axis))
-    xs = (curved[0, 0], curved[0, 1], curved[0, 2], curved[0, 3])
-    ys = (curved[1, 0], curved[1, 1], curved[1, 2], curved[1, 3])
-    zs = (curved[2, 0], curved[2, 1], curved[2, 2], curved[2, 3])
-    if widest * left**_FEW > 0.5 * _TOLERANCE:
-        for row in range(len(u)):
-            u[row], v[row], w[row] = _fixed_point(u[row], v[row], w[row], xs, ys, zs)
-        return
-    for row in range(len(u)):
-        a, b, c = u[row], v[row], w[row]
-        x, y, z = _improved(a, b, c, a, b, c, xs, ys, zs)
-        x, y, z = _improved(a, b, c, x, y, z, xs, ys, zs)
-        x, y, z = _improved(a, b, c, x, y, z, xs, ys, zs)
-        u[row], v[row], w[row] = _improved(a, b, c, x, y, z, xs, ys, zs)
+    """As `_solve`, for cells in which each voxel has to be watched; NaN where it does not settle."""
+    most = np.float32(0.5 + _TOLERANCE)
+    x_most, y_most, z_most = most + _widening(xs), most + _widening(ys), most + _widening(zs)
+    for lane in range(_TILE * _TILE):
+        j, k = np.float32(lane // _TILE), np.float32(lane % _TILE)
+        x = corner[0] + along_y[0] * j + along_z[0] * k
+        y = corner[1] + along_y[1] * j + along_z[1] * k
+        z = corner[2] + along_y[2] * j + along_z[2] * k
+        if abs(x) <= x_most and abs(y) <= y_most and abs(z) <= z_most:
+            x, y, z = _fixed_point(x, y, z, xs, ys, zs)
+        else:
+            x = np.float32(np.nan)
+        local[lane], local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE] = x, y, z
+
+
+@compiled
+def _widening(products: Row) -> np.float32:
+    """The largest shift along an axis that the products of local coordinates make within a cell."""
+    pairs = abs(products[0]) + abs(products[1]) + abs(products[2])
+    return np.float32(0.25) * pairs + np.float32(0.125) * abs(products[3])
 
 
 @compiled
 def _improved(
-    u: float, v: float, w: float, x: float, y: float, z: float, xs: Row, ys: Row, zs: Row
-) -> tuple[float, float, float]:
+    u: np.float32, v: np.float32, w: np.float32, x: np.float32, y: np.float32, z: np.float32, xs: Row, ys: Row, zs: Row
+) -> Three:
     """One step of the fixed point."""
     xy, yz, zx, xyz = x * y, y * z, z * x, x * y * z
     return (
@@ -255,17 +291,15 @@ def _improved(
 
 
 @compiled
-def _fixed_point(
-    u: float, v: float, w: float, xs: Row, ys: Row, zs: Row
-) -> tuple[float, float, float]:
+def _fixed_point(u: np.float32, v: np.float32, w: np.float32, xs: Row, ys: Row, zs: Row) -> Three:
     """Local coordinates that solve the trilinear map, from its affine solution; NaN where it does not converge."""
     x, y, z = u, v, w
     for _ in range(_ITERATIONS):
         p, q, r = _improved(u, v, w, x, y, z, xs, ys, zs)
         settled = abs(p - x) < 0.5 * _TOLERANCE and abs(q - y) < 0.5 * _TOLERANCE and abs(r - z) < 0.5 * _TOLERANCE
-        x = min(max(p, -_OUTSIDE), _OUTSIDE)
-        y = min(max(q, -_OUTSIDE), _OUTSIDE)
-        z = min(max(r, -_OUTSIDE), _OUTSIDE)
+        x = np.float32(min(max(p, -_OUTSIDE), _OUTSIDE))
+        y = np.float32(min(max(q, -_OUTSIDE), _OUTSIDE))
+        z = np.float32(min(max(r, -_OUTSIDE), _OUTSIDE))
         if settled:
             return x, y, z
-    return np.nan, np.nan, np.nan
+    return np.float32(np.nan), np.float32(np.nan), np.float32(np.nan)

@@ -11,6 +11,7 @@ from service.core.compiled import compiled
 from training.simulation.body import Body
 from training.simulation.elements import CORNERS
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated, plain_side
+from training.simulation.trilinear import coefficients
 
 _SEED = 0
 """Of the places within the octants: the same for every body, so that a set does not depend on who draws it."""
@@ -27,7 +28,8 @@ class RestOverlap:
     Attributes:
         body: The body.
         place: Material points, in units of L; each stands for the volume of an octant.
-        cell: Active cell of each.
+        cell: Active cell of each, ascending.
+        local: Where in its cell, from the middle, in its edges.
         sampled: Its distance, on the body's cells.
 
     Source: change of variables; one point in each stratum: Owen, Monte Carlo theory, methods and examples (2013), 10.1.
@@ -36,6 +38,7 @@ class RestOverlap:
     body: Body
     place: Float64[np.ndarray, "n 3"]
     cell: Int[np.ndarray, " n"]
+    local: Float64[np.ndarray, "n 3"]
     sampled: SampledDistance
 
     @classmethod
@@ -44,16 +47,16 @@ class RestOverlap:
         sampled = SampledDistance.on(body.distance, body.cells)
         cell, octant = np.nonzero(body.octant_fill.T > 0.0)
         inner = np.random.default_rng(_SEED).random((len(cell), 3))
-        place = (2.0 * body.active[cell] + CORNERS[octant] + inner) / (2 * body.cells)
+        local = 0.5 * (CORNERS[octant] + inner)
+        place = (body.active[cell] + local) / body.cells
         held = sampled.inside(place.astype(np.float32))
-        return cls(body, place[held], cell[held], sampled)
+        return cls(body, place[held], cell[held], local[held] - 0.5, sampled)
 
     def along(self, displacement: Float64[np.ndarray, "nodes 3"]) -> OverlapAlong:
         """The overlap under all multiples of nodal displacements."""
         moved = np.empty_like(self.place)
         invariants = np.empty((len(self.body.active), 3))
-        _follow(displacement, self.body.cell_nodes, self.body.active, self.body.cells, self.place, self.cell, moved,
-                invariants)  # fmt: skip
+        _follow(displacement, self.body.cell_nodes, self.body.cells, self.cell, self.local, moved, invariants)
         return OverlapAlong(self, moved, invariants)
 
 
@@ -90,46 +93,39 @@ class OverlapAlong:
 def _follow(
     nodal: Float64[np.ndarray, "nodes 3"],
     cell_nodes: Int[np.ndarray, "m 8"],
-    active: Int[np.ndarray, "m 3"],
     cells: int,
-    place: Float64[np.ndarray, "n 3"],
     cell: Int[np.ndarray, " n"],
+    local: Float64[np.ndarray, "n 3"],
     moved: Float64[np.ndarray, "n 3"],
     invariants: Float64[np.ndarray, "m 3"],
 ) -> None:
     """Write the displacement at every point, and the invariants of its gradient in the middle of every cell."""
-    gradient = np.empty((3, 3))
+    terms, row = np.empty((3, 8)), 0
     for m in range(len(cell_nodes)):
-        for i in range(3):
-            x, y, z = 0.0, 0.0, 0.0
-            for corner in range(8):
-                value = nodal[cell_nodes[m, corner], i]
-                x += value if corner & 4 else -value
-                y += value if corner & 2 else -value
-                z += value if corner & 1 else -value
-            gradient[i, 0], gradient[i, 1], gradient[i, 2] = 0.25 * cells * x, 0.25 * cells * y, 0.25 * cells * z
-        g = gradient
-        minor_x = g[1, 1] * g[2, 2] - g[1, 2] * g[2, 1]
-        minor_y = g[0, 0] * g[2, 2] - g[0, 2] * g[2, 0]
-        minor_z = g[0, 0] * g[1, 1] - g[0, 1] * g[1, 0]
-        invariants[m, 0] = g[0, 0] + g[1, 1] + g[2, 2]
-        invariants[m, 1] = minor_x + minor_y + minor_z
-        invariants[m, 2] = (
-            g[0, 0] * minor_x
-            - g[0, 1] * (g[1, 0] * g[2, 2] - g[1, 2] * g[2, 0])
-            + g[0, 2] * (g[1, 0] * g[2, 1] - g[1, 1] * g[2, 0])
-        )
-    for row in range(len(place)):
-        m = cell[row]
-        x = place[row, 0] * cells - active[m, 0]
-        y = place[row, 1] * cells - active[m, 1]
-        z = place[row, 2] * cells - active[m, 2]
         for axis in range(3):
-            a = nodal[cell_nodes[m, 0], axis] * (1 - z) + nodal[cell_nodes[m, 1], axis] * z
-            b = nodal[cell_nodes[m, 2], axis] * (1 - z) + nodal[cell_nodes[m, 3], axis] * z
-            c = nodal[cell_nodes[m, 4], axis] * (1 - z) + nodal[cell_nodes[m, 5], axis] * z
-            d = nodal[cell_nodes[m, 6], axis] * (1 - z) + nodal[cell_nodes[m, 7], axis] * z
-            moved[row, axis] = (a * (1 - y) + b * y) * (1 - x) + (c * (1 - y) + d * y) * x
+            (
+                terms[axis, 0], terms[axis, 1], terms[axis, 2], terms[axis, 3],
+                terms[axis, 4], terms[axis, 5], terms[axis, 6], terms[axis, 7],
+            ) = coefficients(
+                nodal[cell_nodes[m, 0], axis], nodal[cell_nodes[m, 1], axis],
+                nodal[cell_nodes[m, 2], axis], nodal[cell_nodes[m, 3], axis],
+                nodal[cell_nodes[m, 4], axis], nodal[cell_nodes[m, 5], axis],
+                nodal[cell_nodes[m, 6], axis], nodal[cell_nodes[m, 7], axis],
+            )  # fmt: skip
+        # the linear terms are the gradient in the middle, in edges of a cell
+        a, b, c = cells * terms[0, 1], cells * terms[0, 2], cells * terms[0, 3]
+        d, e, f = cells * terms[1, 1], cells * terms[1, 2], cells * terms[1, 3]
+        g, h, k = cells * terms[2, 1], cells * terms[2, 2], cells * terms[2, 3]
+        invariants[m, 0] = a + e + k
+        invariants[m, 1] = (e * k - f * h) + (a * k - c * g) + (a * e - b * d)
+        invariants[m, 2] = a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
+        while row < len(cell) and cell[row] == m:
+            x, y, z = local[row, 0], local[row, 1], local[row, 2]
+            for axis in range(3):
+                value = terms[axis, 0] + x * terms[axis, 1] + y * terms[axis, 2] + z * terms[axis, 3]
+                value += x * y * terms[axis, 4] + y * z * terms[axis, 5] + z * x * terms[axis, 6]
+                moved[row, axis] = value + x * y * z * terms[axis, 7]
+            row += 1
 
 
 @compiled
@@ -146,10 +142,11 @@ def _volumes(
 ) -> tuple[float, float]:
     """Volume of the deformed body that was filled at rest, and all of it within the cube, in octants."""
     n = state.shape[0]
-    kept, volume = 0.0, 0.0
+    kept, volume, present, ratio = 0.0, 0.0, -1, 1.0
     for row in range(len(place)):
-        m = cell[row]
-        ratio = 1.0 + factor * (invariants[m, 0] + factor * (invariants[m, 1] + factor * invariants[m, 2]))
+        if cell[row] != present:
+            m = present = cell[row]
+            ratio = 1.0 + factor * (invariants[m, 0] + factor * (invariants[m, 1] + factor * invariants[m, 2]))
         x = (place[row, 0] + factor * moved[row, 0]) * n
         y = (place[row, 1] + factor * moved[row, 1]) * n
         z = (place[row, 2] + factor * moved[row, 2]) * n

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8, UInt64
+from jaxtyping import Bool, Float32, Float64, Int, UInt8
 
 from service.core.arrays import GRID_SIZE
 from service.core.compiled import compiled
@@ -24,24 +24,24 @@ class Rasterised:
 
     Attributes:
         deformed: Which voxel centres lie in the deformed body.
-        moved_here: u(y) at the deformed voxels, in their order in the grid: the material point now at y was at y − u.
+        deformed_at: Places in the flat grid of these voxels, cell by cell of the body.
+        moved_here: u(y) at these: the material point now at y was at y − u.
         at_rest: Places in the flat grid of the voxels of the body at rest.
         moved_from: u(x) at these.
         peak_displacement: Largest length of the forward field, that is, inside the body.
-        mean_displacement: Mean length of the forward field.
     """
 
     deformed: Bool[np.ndarray, "x y z"]
+    deformed_at: Int[np.ndarray, " n"]
     moved_here: Float32[np.ndarray, "n 3"]
     at_rest: Int[np.ndarray, " k"]
     moved_from: Float32[np.ndarray, "k 3"]
     peak_displacement: float
-    mean_displacement: float
 
     @cached_property
     def backward(self) -> Float32[np.ndarray, "3 x y z"]:
         """u(y) at every voxel centre y of the deformed body; NaN outside."""
-        return self._spread(np.flatnonzero(self.deformed), self.moved_here)
+        return self._spread(self.deformed_at, self.moved_here)
 
     @cached_property
     def forward(self) -> Float32[np.ndarray, "3 x y z"]:
@@ -80,24 +80,27 @@ class Rasteriser:
         self._at_rest = index[order]
         self._rest_cell = cell[order]
         self._rest_local = local[order]
-        self._material = np.empty((size**3, 3), np.float32)
+        self._octants = self._distance.octants_of(body.active)
+        # taken once: a voxel is found at most twice, see `material_points`
+        self._place = np.empty(2 * size**3, np.int64)
+        self._moved = np.empty((2 * size**3, 3), np.float32)
+        self._asked = np.empty(size**3, np.int64)
 
     def __call__(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Rasterised:
         """Voxelise the body displaced at its nodes."""
-        side = self._sides(displacement, cautious=True)
-        found, asked = _collect(side.view(np.uint64))
-        side[asked] = self._distance(self._material[asked]) < 0
-        here = np.empty((len(found), 3), np.float32)
-        count = _moved(side, self._material, found, self.size, here)
+        side, count, doubtful = self._sides(displacement, cautious=True)
+        asked = self._asked[:doubtful]
+        material = voxel_centres(self.size)[self._place[asked]] - self._moved[asked]
+        count = _decide(asked, self._distance(material) < 0, side, self._place, self._moved, count)
         forward = np.empty((len(self._at_rest), 3), np.float32)
-        peak, total = _interpolate(displacement, self.body.cell_nodes, self._rest_cell, self._rest_local, forward)
+        peak = _interpolate(displacement, self.body.cell_nodes, self._rest_cell, self._rest_local, forward)
         return Rasterised(
             deformed=side.view(bool).reshape((self.size,) * 3),
-            moved_here=here[:count],
+            deformed_at=self._place[:count].copy(),
+            moved_here=self._moved[:count].copy(),
             at_rest=self._at_rest,
             moved_from=forward,
             peak_displacement=peak,
-            mean_displacement=total / max(len(forward), 1),
         )
 
     def at_rest(self, values: Float64[np.ndarray, " cells"]) -> Float64[np.ndarray, " k"]:
@@ -106,16 +109,19 @@ class Rasteriser:
 
     def occupancy(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Bool[np.ndarray, "x y z"]:
         """Only the deformed occupancy, by interpolated distances: off by 0.1 % of the volume where edges are sharp."""
-        return np.asarray(self._sides(displacement, cautious=False) == INSIDE).reshape((self.size,) * 3)
+        return self._sides(displacement, cautious=False)[0].view(bool).reshape((self.size,) * 3)
 
-    def _sides(self, displacement: Float64[np.ndarray, "nodes 3"], cautious: bool) -> UInt8[np.ndarray, " voxels"]:
+    def _sides(
+        self, displacement: Float64[np.ndarray, "nodes 3"], cautious: bool
+    ) -> tuple[UInt8[np.ndarray, " voxels"], int, int]:
         body, sampled = self.body, self._distance
         side = np.zeros(self.size**3, np.uint8)
-        material_points(
-            (body.node_positions + displacement) * self.size - 0.5, body.cell_nodes, body.active, sampled.state,
-            sampled.number, sampled.polynomial, sampled.doubt, sampled.plane, cautious, self.size, side, self._material,
+        count, doubtful = material_points(
+            (body.node_positions + displacement) * self.size - 0.5, body.cell_nodes, body.active, body.cells,
+            self._octants, sampled.polynomial, sampled.doubt, sampled.plane, cautious, self.size, side, self._place,
+            self._moved, self._asked,
         )  # fmt: skip
-        return side
+        return side, count, doubtful
 
 
 def rasterise(body: Body, displacement: Float64[np.ndarray, "nodes 3"], size: int = GRID_SIZE) -> Rasterised:
@@ -133,49 +139,26 @@ def voxel_centres(size: int = GRID_SIZE) -> Float32[np.ndarray, "n 3"]:
 
 
 @compiled
-def _collect(words: UInt64[np.ndarray, " w"]) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " m"]]:
-    """Places of all voxels that are not `OUTSIDE`, and of those that are `NEAR`, of sides eight to a word."""
-    found, asked = np.empty(8 * len(words), np.int64), np.empty(8 * len(words), np.int64)
-    count, doubtful = 0, 0
-    for index in range(len(words)):
-        word = words[index]
-        if word == 0:
-            continue
-        for byte in range(8):
-            side = (word >> np.uint64(8 * byte)) & np.uint64(255)
-            if side != OUTSIDE:
-                found[count] = 8 * index + byte
-                count += 1
-            if side == NEAR:
-                asked[doubtful] = 8 * index + byte
-                doubtful += 1
-    return found[:count].copy(), asked[:doubtful].copy()
-
-
-@compiled
-def _moved(
+def _decide(
+    asked: Int[np.ndarray, " m"],
+    inside: Bool[np.ndarray, " m"],
     side: UInt8[np.ndarray, " voxels"],
-    material: Float32[np.ndarray, "voxels 3"],
-    found: Int[np.ndarray, " n"],
-    size: int,
-    moved: Float32[np.ndarray, "n 3"],
+    place: Int[np.ndarray, " rows"],
+    moved: Float32[np.ndarray, "rows 3"],
+    count: int,
 ) -> int:
-    """Write how far what is at each of the voxels that are `INSIDE` has come; returns how many there are."""
-    edge = 1.0 / size
-    count, line, i = 0, 0, 0
-    for row in range(len(found)):
-        place = found[row]
-        if side[place] != INSIDE:
-            continue
-        # places ascend: counting on is cheaper than dividing
-        while place >= (line + 1) * size:
-            line += 1
-        while line >= (i + 1) * size:
-            i += 1
-        moved[count, 0] = (i + 0.5) * edge - material[place, 0]
-        moved[count, 1] = (line - i * size + 0.5) * edge - material[place, 1]
-        moved[count, 2] = (place - line * size + 0.5) * edge - material[place, 2]
-        count += 1
+    """Keep the rows asked about that lie inside and that no other cell was sure of; returns how many rows are left."""
+    # from the end: what fills a gap, the last row, is one that stays
+    for question in range(len(asked) - 1, -1, -1):
+        row = asked[question]
+        voxel = place[row]
+        doubtful = side[voxel] == NEAR
+        if doubtful:
+            side[voxel] = INSIDE if inside[question] else OUTSIDE
+        if not (doubtful and inside[question]):
+            count -= 1
+            place[row] = place[count]
+            moved[row, 0], moved[row, 1], moved[row, 2] = moved[count, 0], moved[count, 1], moved[count, 2]
     return count
 
 
@@ -186,10 +169,10 @@ def _interpolate(
     cell: Int[np.ndarray, " n"],
     local: Float64[np.ndarray, "n 3"],
     field: Float32[np.ndarray, "n 3"],
-) -> tuple[float, float]:
-    """Write the trilinear nodal field at points given by cell and local coordinates; its largest and total length."""
+) -> float:
+    """Write the trilinear nodal field at points given by cell and local coordinates; its largest length."""
     terms = np.empty((3, 8))
-    peak, total, present = 0.0, 0.0, -1
+    largest, present = 0.0, -1
     for row in range(len(cell)):
         if cell[row] != present:
             present = cell[row]
@@ -204,14 +187,12 @@ def _interpolate(
                     nodal[cell_nodes[present, 6], axis], nodal[cell_nodes[present, 7], axis],
                 )  # fmt: skip
         x, y, z = local[row, 0] - 0.5, local[row, 1] - 0.5, local[row, 2] - 0.5
-        length = 0.0
+        square = 0.0
         for axis in range(3):
             value = terms[axis, 0] + x * terms[axis, 1] + y * terms[axis, 2] + z * terms[axis, 3]
             value += x * y * terms[axis, 4] + y * z * terms[axis, 5] + z * x * terms[axis, 6]
             value += x * y * z * terms[axis, 7]
             field[row, axis] = value
-            length += value * value
-        length = np.sqrt(length)
-        peak = max(peak, length)
-        total += length
-    return peak, total
+            square += value * value
+        largest = max(largest, square)
+    return float(np.sqrt(largest))

@@ -19,6 +19,8 @@ SUBSAMPLES = 4
 """Sample points along each edge of an octant that the surface may cross."""
 OUTSIDE, INSIDE, NEAR = 0, 1, 2
 """States of an octant: wholly on one side, or perhaps crossed by the surface."""
+EMPTY, WHOLE = -1, -2
+"""Stand for these states where others have the row of their octant."""
 SAMPLED_SHELL = 0.75
 """Half thickness, in octants, of the shell around the surface where the lattice has values: what loads integrate over,
 `surface.SHELL` times a quarter of a cell."""
@@ -109,6 +111,12 @@ class SampledDistance:
         asked = np.flatnonzero(side == NEAR)
         side[asked] = self.distance(points[asked]) < 0
         return np.asarray(side == INSIDE)
+
+    def octants_of(self, active: Int[np.ndarray, "m 3"]) -> Int32[np.ndarray, "m 8"]:
+        """Row of each octant 4·dx + 2·dy + dz of some cells where it is `NEAR`, else `EMPTY` or `WHOLE`."""
+        place = tuple(np.moveaxis(2 * active[:, None] + _cube(2), -1, 0))
+        state, number = self.state[place], self.number[place]
+        return np.where(state == NEAR, number, np.where(state == INSIDE, WHOLE, EMPTY)).astype(np.int32)
 
     @cached_property
     def octant_fill(self) -> Float64[np.ndarray, "n2 n2 n2"]:

@@ -66,9 +66,12 @@ class LinearSolver:
     def solve_forces(self, forces: Float64[np.ndarray, "m nodes 3"]) -> Float64[np.ndarray, "m nodes 3"]:
         """Nodal displacements under given nodal forces."""
         free = self.body.free_dof
-        displacements = np.zeros((len(forces), 3 * self.body.nodes))
-        displacements[:, free] = self.factor.solve(forces.reshape(len(forces), -1)[:, free].T).T
-        return displacements.reshape(len(forces), self.body.nodes, 3)
+        columns = forces.reshape(len(forces), -1)
+        if len(free) == columns.shape[1]:  # as wherever a bed holds the body
+            return np.ascontiguousarray(self.factor.solve(columns.T).T).reshape(forces.shape)
+        displacements = np.zeros_like(columns)
+        displacements[:, free] = self.factor.solve(columns[:, free].T).T
+        return displacements.reshape(forces.shape)
 
     def reaction(
         self, displacements: Float64[np.ndarray, "nodes 3"], forces: Float64[np.ndarray, "nodes 3"]

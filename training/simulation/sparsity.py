@@ -8,7 +8,10 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float64, Int
 
-from training.simulation.elements import PAIRS_24
+from training.simulation.elements import CORNERS, PAIRS_24
+
+_WAYS = 14
+"""Ways from a node to itself and to those of its 26 neighbours that come after it, in the order of the grid."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,42 +30,46 @@ class SparsityPattern:
 
     @classmethod
     def of(cls, cell_nodes: Int[np.ndarray, "m 8"], clamped: Bool[np.ndarray, " nodes"]) -> SparsityPattern:
-        """Count the entries of a stiffness; the corners of every cell must be in ascending order of their numbers."""
+        """Count the entries of a stiffness; nodes must be numbered in the order of the grid."""
         # counted on blocks of 3×3 between nodes, a ninth of the entries; node and dof order agree
         free_nodes = ~clamped
         count = int(free_nodes.sum())
-        number = np.full(len(clamped), -1)
+        number = np.full(len(clamped), count)  # clamped nodes go into a row too many
         number[free_nodes] = np.arange(count)
         node = number[cell_nodes.T]
         a, b = np.triu_indices(8)
-        # nodes are numbered in the order of the grid, and so are the corners of a cell: a never exceeds b
         low, high = node[a], node[b]
-        held = (low < 0) | (high < 0)
-        blocks, block_of = np.unique((low * count + high)[~held], return_inverse=True)
-        block_row, block_column = blocks // count, blocks % count
+        held = (low == count) | (high == count)
+        low = np.where(held, count, low)
+        # a block by its first node and the way from there to the second: columns ascend with its place in the grid
+        way = ((CORNERS[b] - CORNERS[a]) @ [9, 3, 1])[:, None]
+        second = np.full((count + 1, _WAYS), -1)
+        second[low, way] = high
+        present = second[:count] >= 0
+        block_row, block_way = np.nonzero(present)
+        block_column = second[block_row, block_way]
+        number_of_block = np.full(second.shape, -1)
+        number_of_block[block_row, block_way] = np.arange(len(block_row))
         # in block row r the diagonal block comes first and has 3, 2, 1 entries, every other block 3 in each row
-        blocks_in_row = np.bincount(block_row, minlength=count)
+        blocks_in_row = present.sum(axis=1)
         first_block = np.cumsum(blocks_in_row) - blocks_in_row
-        lengths = 3 * blocks_in_row[:, None] - np.arange(3)
-        indptr = np.concatenate([[0], np.cumsum(lengths.ravel())])
-        rank = np.arange(len(blocks)) - first_block[block_row]
-        entry = np.empty((len(blocks), 3, 3), np.int64)
-        for i in range(3):
-            entry[:, i] = indptr[3 * block_row + i, None] + 3 * rank[:, None] + np.arange(3) - i
+        indptr = np.concatenate([[0], np.cumsum((3 * blocks_in_row[:, None] - np.arange(3)).ravel())])
+        rank = np.arange(len(block_row)) - first_block[block_row]
+        # where column 0 of each of its rows is, or would be
+        start = indptr[3 * block_row + np.arange(3)[:, None]] + 3 * rank - np.arange(3)[:, None]
         indices = np.empty(indptr[-1], np.int32)
-        upper = np.ones((len(blocks), 3, 3), bool)
-        upper[rank == 0] = np.triu(np.ones((3, 3), bool))
-        indices[entry[upper]] = np.broadcast_to(3 * block_column[:, None, None] + np.arange(3), upper.shape)[upper]
-        block = np.full(node[a].shape, -1)
-        block[~held] = block_of
-        block_number = np.full((8, 8), -1)
-        block_number[a, b] = np.arange(len(a))
-        position = np.empty((len(PAIRS_24[0]), node.shape[1]), np.int64)
-        for index, (row, column) in enumerate(np.stack(PAIRS_24, axis=1).tolist()):
-            pair = block_number[row // 3, column // 3]
-            i, j = row % 3, column % 3
-            position[index] = entry[block[pair], i, j]
-            position[index][held[pair]] = len(indices)
+        for i in range(3):
+            for j in range(3):
+                kept = (rank > 0) | (j >= i)
+                indices[start[i, kept] + j] = 3 * block_column[kept] + j
+        pair_of = np.zeros((8, 8), np.int64)
+        pair_of[a, b] = np.arange(len(a))
+        row, column = PAIRS_24
+        pair = pair_of[row // 3, column // 3]
+        position = start[:, number_of_block[low, way]][row % 3, pair]
+        position += (column % 3)[:, None]
+        if held.any():
+            position[held[pair]] = len(indices)
         return cls(indptr.astype(np.int32), indices, position.ravel())
 
     def assemble(self, element: Float64[np.ndarray, "300 m"]) -> Float64[np.ndarray, " nonzeros"]:

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 from jaxtyping import Float32
 
+from service.core.compiled import compiled
 from training.simulation.shapes.field import Bounds, Coordinate, Distance, Field, Number, Triple
 
 Polygon: TypeAlias = tuple[tuple[Number, Number], ...]
@@ -20,7 +21,7 @@ Polygon: TypeAlias = tuple[tuple[Number, Number], ...]
 ZERO = np.float32(0)
 TINY = np.float32(1e-12)
 POLYGON_BLOCK = 1024
-"""Points whose distances to all edges are found together: enough to hide the calls, few enough for the cache."""
+"""Points whose distances to an edge are found together: few enough for the cache."""
 
 
 @dataclass(frozen=True)
@@ -240,27 +241,43 @@ def polygon_distance(
     kept = (corners != ends).any(axis=1)
     if skip_axis:  # no surface, and rays towards +u start at or beyond it
         kept &= (corners[:, 0] != 0) | (ends[:, 0] != 0)
-    corners, ends = corners[kept, :, None], ends[kept, :, None]
-    (u0, v0), (du, dv) = corners.swapaxes(0, 1), (ends - corners).swapaxes(0, 1)
-    inverse_square = np.float32(1) / (du * du + dv * dv)
+    corners, edges = corners[kept], (ends - corners)[kept]
     result = np.empty(u.shape, np.float32)
-    for start in range(0, len(u), POLYGON_BLOCK):  # all edges of a block of points at once
-        part = slice(start, start + POLYGON_BLOCK)
-        pu, pv = u[part] - u0, v[part] - v0
-        # Crossings of the ray towards +u, by the side of the edge that the point is on.
-        spans = (pv >= 0) != (pv >= dv)
-        left = (pu * dv < pv * du) ^ (dv < 0)
-        inside = np.bitwise_xor.reduce(spans & left, axis=0)
-        along = (pu * du + pv * dv) * inverse_square
-        np.clip(along, ZERO, np.float32(1), out=along)
-        pu -= along * du
-        pv -= along * dv
-        pu *= pu
-        pv *= pv
-        pu += pv
-        distance = np.sqrt(pu.min(axis=0))
-        result[part] = np.where(inside, -distance, distance)
+    inverse_square = np.float32(1) / (edges * edges).sum(axis=1)
+    _to_polygon(np.ascontiguousarray(u), np.ascontiguousarray(v), corners, edges, inverse_square, result)
     return result
+
+
+@compiled
+def _to_polygon(
+    u: Float32[np.ndarray, " n"],
+    v: Float32[np.ndarray, " n"],
+    corners: Float32[np.ndarray, "m 2"],
+    edges: Float32[np.ndarray, "m 2"],
+    inverse_square: Float32[np.ndarray, " m"],
+    result: Float32[np.ndarray, " n"],
+) -> None:
+    nearest, inside = np.empty(POLYGON_BLOCK, np.float32), np.empty(POLYGON_BLOCK, np.int32)
+    for start in range(0, len(u), POLYGON_BLOCK):  # edge by edge for a block of points, several points at a time
+        count = min(POLYGON_BLOCK, len(u) - start)
+        nearest[:] = np.inf
+        inside[:] = 0
+        for edge in range(len(corners)):
+            u0, v0, du, dv = corners[edge, 0], corners[edge, 1], edges[edge, 0], edges[edge, 1]
+            share = inverse_square[edge]
+            for point in range(count):
+                pu, pv = u[start + point] - u0, v[start + point] - v0
+                # Crossings of the ray towards +u, by the side of the edge that the point is on.
+                spans = (pv >= np.float32(0)) != (pv >= dv)
+                left = (pu * dv < pv * du) != (dv < np.float32(0))
+                inside[point] ^= np.int32(spans & left)
+                along = min(max((pu * du + pv * dv) * share, np.float32(0)), np.float32(1))
+                pu -= along * du
+                pv -= along * dv
+                nearest[point] = min(nearest[point], pu * pu + pv * pv)
+        for point in range(count):
+            distance = np.sqrt(nearest[point])
+            result[start + point] = -distance if inside[point] else distance
 
 
 def _extrude(flat: Distance, along: Coordinate, half_length: Number) -> Distance:
