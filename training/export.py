@@ -24,9 +24,10 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
+from training.networks.blocks import Stem
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationNetwork, shrunk
-from training.networks.reconstruction import Coarser, ReconstructionNetwork, tempered
+from training.networks.reconstruction import ReconstructionNetwork, tempered
 
 OPSET = 20
 PARITY_TOLERANCE = 1e-4
@@ -214,7 +215,7 @@ def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
 def _without_norms(graph: nn.Module) -> nn.Module:
     """The same with normalisations in their convolutions; those of convolutions proper the exporter folds itself."""
     graph = copy.deepcopy(graph)
-    for block in [module for module in graph.modules() if isinstance(module, Coarser)]:
+    for block in [module for module in graph.modules() if isinstance(module, Stem)]:
         assert isinstance(block.norm, nn.BatchNorm2d), "a graph is written once"
         block.conv = fuse_conv_bn_eval(block.conv, block.norm)
         block.norm = nn.Identity()

@@ -29,6 +29,29 @@ class PlaneBlock(nn.Module):
         return y
 
 
+class Stem(nn.Module):
+    """A coarser plane by a convolution whose kernels touch, as one product of matrices, of channels that lie last.
+
+    What a graph is given lies so; to put its channels first takes longer than the product.
+    """
+
+    def __init__(self, inputs: int, outputs: int, factor: int) -> None:
+        super().__init__()
+        self.factor = factor
+        self.conv = nn.Conv2d(inputs, outputs, factor, factor, bias=False)
+        self.norm: nn.Module = nn.BatchNorm2d(outputs)
+        self.activation = nn.LeakyReLU(LEAKY_SLOPE)
+
+    def forward(self, x: Float[Tensor, "batch width depth inputs"]) -> Float[Tensor, "batch outputs x y"]:
+        batch, width, depth, channels = x.shape
+        n = self.factor
+        parts = x.reshape(batch, width // n, n, depth // n, n, channels).permute(0, 1, 3, 2, 4, 5)
+        weight = self.conv.weight.permute(0, 2, 3, 1).flatten(1)
+        y = nn.functional.linear(parts.flatten(3), weight, self.conv.bias)
+        z: Tensor = self.activation(self.norm(y.permute(0, 3, 1, 2)))
+        return z
+
+
 class ResidualPlaneBlock(nn.Module):
     """One 3² convolution around which the signal also passes unchanged."""
 

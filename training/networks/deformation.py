@@ -20,7 +20,14 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from service.core.prior_lattice import LATTICE_SIZE
-from training.networks.blocks import LEAKY_SLOPE, ModulatedPlaneBlock, PlaneBlock, ResidualPlaneBlock, cell_centres
+from training.networks.blocks import (
+    LEAKY_SLOPE,
+    ModulatedPlaneBlock,
+    PlaneBlock,
+    ResidualPlaneBlock,
+    Stem,
+    cell_centres,
+)
 from training.networks.conditions import PLANES, SERVED_CENTRE, SERVED_SCALE, condition_planes
 
 COLUMN = 64
@@ -80,7 +87,7 @@ class ShapeEncoder(nn.Module):
         super().__init__()
         fine, middle, coarse = config.channels
         self.middle = nn.Sequential(
-            PlaneBlock(COLUMN, fine, STEM, STEM), *_residual(fine, config.encoder_blocks[0]),
+            Stem(COLUMN, fine, STEM), *_residual(fine, config.encoder_blocks[0]),
             PlaneBlock(fine, middle, 2, 2), *_residual(middle, config.encoder_blocks[1]),
         )  # fmt: skip
         self.coarse = nn.Sequential(PlaneBlock(middle, coarse, 2, 2), *_residual(coarse, config.encoder_blocks[2]))
@@ -89,7 +96,7 @@ class ShapeEncoder(nn.Module):
         nn.init.constant_(self.latent.bias[config.latent :], NARROW)
 
     def forward(self, rest: Float[Tensor, "batch 1 64 64 64"]) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        middle = self.middle(_columns(rest))
+        middle = self.middle(rest.squeeze(1))
         coarse = self.coarse(middle)
         mean, log_variance = self.latent(coarse.mean(dim=(2, 3))).chunk(2, dim=1)
         return middle, coarse, mean, log_variance

@@ -17,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from training.networks.blocks import LEAKY_SLOPE, PlaneBlock, ResidualPlaneBlock
+from training.networks.blocks import LEAKY_SLOPE, PlaneBlock, ResidualPlaneBlock, Stem
 
 SIZE = 64
 
@@ -35,24 +35,6 @@ class ReconstructionConfig:
     channels: tuple[int, int, int, int] = (48, 128, 192, 224)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 2)
     detail: int = 32
-
-
-class Coarser(nn.Module):
-    """Half the resolution by a 2² convolution of stride 2, as one product of matrices, of channels that lie last."""
-
-    def __init__(self, inputs: int, outputs: int) -> None:
-        super().__init__()
-        self.conv = nn.Conv2d(inputs, outputs, 2, 2, bias=False)
-        self.norm: nn.Module = nn.BatchNorm2d(outputs)
-        self.activation = nn.LeakyReLU(LEAKY_SLOPE)
-
-    def forward(self, x: Float[Tensor, "batch width depth inputs"]) -> Float[Tensor, "batch outputs x y"]:
-        batch, width, depth, channels = x.shape
-        parts = x.reshape(batch, width // 2, 2, depth // 2, 2, channels).permute(0, 1, 3, 2, 4, 5)
-        weight = self.conv.weight.permute(0, 2, 3, 1).flatten(1)
-        y = nn.functional.linear(parts.flatten(3), weight, self.conv.bias)
-        z: Tensor = self.activation(self.norm(y.permute(0, 3, 1, 2)))
-        return z
 
 
 class Finer(nn.Module):
@@ -92,7 +74,7 @@ class ReconstructionNetwork(nn.Module):
         inputs = (2 * SIZE, *config.channels)
         self.down = nn.ModuleList(
             nn.Sequential(
-                Coarser(coming, going) if level == 0 else PlaneBlock(coming, going, 2, 2),
+                Stem(coming, going, 2) if level == 0 else PlaneBlock(coming, going, 2, 2),
                 *[ResidualPlaneBlock(going) for _ in range(blocks)],
             )
             for level, (coming, going, blocks) in enumerate(zip(inputs, config.channels, config.blocks, strict=False))

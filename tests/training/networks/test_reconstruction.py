@@ -1,7 +1,7 @@
 import torch
 
 from tests.training import tiny
-from training.networks.reconstruction import Coarser, ReconstructionConfig, ReconstructionNetwork, spoken, tempered
+from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork, spoken, tempered
 
 
 def test_a_logit_for_every_voxel() -> None:
@@ -75,14 +75,6 @@ def test_parts_of_a_pixel_lie_as_pixel_shuffle_lays_them() -> None:
     x = torch.randn(2, 3, 4, 6)
     expected = torch.nn.functional.pixel_shuffle(conv(x), 2).permute(0, 2, 3, 1)
     torch.testing.assert_close(spoken(x.permute(0, 2, 3, 1), conv), expected)
-
-
-def test_coarser_is_a_convolution_of_stride_two() -> None:
-    torch.manual_seed(0)
-    block = Coarser(3, 5).eval()
-    x = torch.randn(2, 3, 8, 6)
-    expected = torch.nn.functional.leaky_relu(block.norm(block.conv(x)), 0.2)
-    torch.testing.assert_close(block(x.permute(0, 2, 3, 1)), expected)
 
 
 def test_a_temperature_divides_the_logits() -> None:
