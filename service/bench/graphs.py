@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -11,6 +11,9 @@ import numpy as np
 
 from service.api import convert
 from service.bench.question import BenchQuestion
+from service.core.arrays import Occupancy
+from service.core.condition import Condition
+from service.inference.deformation import Prior
 from service.inference.registry import load_models
 from service.pipeline import Pipeline
 from service.settings import Settings
@@ -37,7 +40,7 @@ class BareGraphs:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """`reconstruction`, `deformation`, `prior`."""
+        """`reconstruction`, `deformation`, and `prior` with its set-up for the body."""
         return tuple(self._calls)
 
     def time_ms(self, name: str) -> float:
@@ -79,11 +82,12 @@ def _recorded(models: Any, calls: dict[str, list[Callable[[], object]]]) -> Iter
     for network in networks:
         network._session = _Recorder(network._session, calls.setdefault(network.manifest.kind, []))
     deformation = models.deformation
-    solve = deformation.prior
+    solve: Callable[[Occupancy, Sequence[Condition]], Prior] = deformation.prior
 
-    def recorded(*asked: Any) -> Any:
-        calls.setdefault("prior", []).append(lambda: solve(*asked))
-        return solve(*asked)
+    def recorded(rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
+        # A body of its own: the last one's factor is kept, but a new frame shows a body that nobody has solved for.
+        calls.setdefault("prior", []).append(lambda: solve(rest.copy(), conditions))
+        return solve(rest, conditions)
 
     deformation.prior = recorded
     try:

@@ -1,0 +1,30 @@
+"""The bare parts of one question are those that a new frame needs."""
+
+from __future__ import annotations
+
+import pytest
+
+from service.bench.graphs import BareGraphs
+from service.bench.question import sample_question
+from service.inference import deformation
+from service.settings import Settings
+
+
+def test_both_networks_and_the_whole_prior_are_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared: list[float] = []
+
+    class Counted(deformation.ElasticPrior):
+        def __init__(self, occupancy: deformation.Occupancy, poisson_ratio: float) -> None:
+            prepared.append(poisson_ratio)
+            super().__init__(occupancy, poisson_ratio)
+
+    monkeypatch.setattr(deformation, "ElasticPrior", Counted)
+    bare = BareGraphs(Settings(), sample_question())
+    assert set(bare.names) == {"reconstruction", "deformation", "prior"}
+    before = len(prepared)
+    assert bare.time_ms("prior") > 0
+    bare.time_ms("prior")
+    assert len(prepared) == before + 2  # its factor is not one that was kept
+    bare.time_ms("reconstruction")
+    bare.time_ms("deformation")
+    assert len(prepared) == before + 2
