@@ -13,6 +13,7 @@ from scipy import ndimage, spatial
 from service.core.arrays import GRID_SIZE, Occupancy
 from training.simulation.body import Body
 from training.simulation.loads import Load
+from training.simulation.newton import solve_neo_hookean
 from training.simulation.rasterise import Rasterised, Rasteriser
 from training.simulation.solver import LinearSolver
 
@@ -97,12 +98,29 @@ class LinearFem:
         Raises:
             LoadError: The load touches no material.
         """
-        contact, direction = condition[:3].astype(np.float64), condition[3:6].astype(np.float64)
-        poisson_ratio = float(condition[7])
+        return self._rasteriser(self._displacement(self._solver(float(condition[7])), _load(condition)))
+
+    def _displacement(self, solver: LinearSolver, load: Load) -> Float64[np.ndarray, "nodes 3"]:
+        displacement: Float64[np.ndarray, "nodes 3"] = solver.solve([load])[0]
+        return displacement
+
+    def _solver(self, poisson_ratio: float) -> LinearSolver:
         if poisson_ratio not in self._solvers:
             self._solvers[poisson_ratio] = LinearSolver(self._body, poisson_ratio)
-        load = Load(contact, direction, float(10.0 ** condition[6]), float(condition[8]))
-        return self._rasteriser(self._solvers[poisson_ratio].solve([load])[0])
+        return self._solvers[poisson_ratio]
+
+
+class NeoHookeanFem(LinearFem):
+    """The same by the law that the data obeys, in three load steps; as far as they converge."""
+
+    def _displacement(self, solver: LinearSolver, load: Load) -> Float64[np.ndarray, "nodes 3"]:
+        steps = [step for step in solve_neo_hookean(solver, load) if step.converged]
+        return steps[-1].displacement if steps else np.zeros_like(solver.body.node_positions)
+
+
+def _load(condition: Float32[np.ndarray, " 9"]) -> Load:
+    contact, direction = condition[:3].astype(np.float64), condition[3:6].astype(np.float64)
+    return Load(contact, direction, float(10.0 ** condition[6]), float(condition[8]))
 
 
 def distance_of(occupancy: Occupancy) -> Distance:

@@ -12,8 +12,9 @@ from jaxtyping import Bool, Float, Float32, Float64, Int
 from torch import nn
 
 from service.core.lookup import warp
-from training.baselines import LinearFem, NearestNeighbours, mean_shape
+from training.baselines import LinearFem, NearestNeighbours, NeoHookeanFem, mean_shape
 from training.data.batches import DeformationBatch, DeformationSet
+from training.data.priors import Priors
 from training.evaluate import MOVED, uncertain
 from training.metrics import calibration_curve, changed_voxel_iou, iou, skill
 from training.networks.deformation import DeformationNetwork
@@ -40,11 +41,13 @@ class Contender:
         name: In the table.
         answer: Occupancy probabilities for a batch in which every load has a body of its own.
         threshold: Above it a voxel is filled.
+        solves: Whether it starts from the coarse solve, whose time then counts as its own.
     """
 
     name: str
     answer: Answering
     threshold: float = 0.5
+    solves: bool = False
 
 
 @dataclass(frozen=True)
@@ -80,8 +83,21 @@ def deforming(network: nn.Module) -> DeformationNetwork | PhysNet:
     return network
 
 
-def contenders(network: nn.Module, threshold: float, training: DeformationSet, cells: Sequence[int]) -> list[Contender]:
+def contenders(
+    network: nn.Module,
+    threshold: float,
+    training: DeformationSet,
+    cells: Sequence[int],
+    nonlinear_cells: Sequence[int] = (),
+) -> list[Contender]:
     """The network, and all that stands beside it in the table.
+
+    Args:
+        network: The network.
+        threshold: Of the network and of the solve that it starts from.
+        training: What is known already.
+        cells: Of linear finite elements, along an edge; one rival each.
+        nonlinear_cells: Of neo-Hookean ones likewise.
 
     Raises:
         TypeError: The network does not deform.
@@ -93,20 +109,24 @@ def contenders(network: nn.Module, threshold: float, training: DeformationSet, c
         Contender("nothing moves", lambda batch: batch.rest[:, 0].numpy()),
         Contender("mean training shape", lambda batch: np.stack([average] * len(batch.condition))),
         Contender("4 nearest conditions", lambda batch: neighbours(batch.condition.numpy())),
-        *(Contender(f"linear FEM, {n}³", _linear_fem(n)) for n in cells),
-        Contender("coarse solve alone", _coarse_solve, threshold),
+        *(Contender(f"linear FEM, {n}³", _finite_elements(LinearFem, n)) for n in cells),
+        *(Contender(f"neo-Hookean FEM, {n}³", _finite_elements(NeoHookeanFem, n)) for n in nonlinear_cells),
+        Contender("coarse solve alone", _coarse_solve, threshold, solves=True),
     ]
-    return [*rivals, Contender("network", lambda batch: predict(own, batch).probability, threshold)]
+    solves = isinstance(own, DeformationNetwork) and own.config.prior
+    return [*rivals, Contender("network", lambda batch: predict(own, batch).probability, threshold, solves)]
 
 
 def compare(rivals: Sequence[Contender], samples: DeformationSet, rows: Int[np.ndarray, " n"]) -> list[Scores]:
-    """Score each on the same samples, one at a time as a robot asks; ms is processor time, with the coarse solve."""
+    """Score each on the same samples, one at a time as a robot asks; ms is processor time from voxels to voxels."""
     table = []
     for rival in rivals:
         scores, curves, elapsed_s = [], [], 0.0
         for row in rows:
-            started = time.process_time()
             batch = samples.batch(np.array([row]))
+            started = time.process_time()
+            if rival.solves:  # again: the set solves all loads on a body at once, and keeps the answers
+                Priors(samples.rest, samples.body[row : row + 1], samples.condition[row : row + 1])(np.array([0]))
             probability = rival.answer(batch)[0]
             elapsed_s += time.process_time() - started
             rest, truth = batch.rest[0, 0].numpy() > 0.5, batch.deformed[0].numpy() > 0.5
@@ -192,13 +212,13 @@ def _coarse_solve(batch: DeformationBatch) -> Occupancies:
     return np.stack([warp(body, field) for body, field in zip(bodies, fields, strict=True)])
 
 
-def _linear_fem(cells: int) -> Answering:
+def _finite_elements(kind: type[LinearFem], cells: int) -> Answering:
     def answer(batch: DeformationBatch) -> Occupancies:
         """The body as it was where the mesh is too coarse to hold it or to push it."""
         answers = []
         for rest, condition in zip(batch.rest[:, 0].numpy() > 0.5, batch.condition.numpy(), strict=True):
             try:
-                answers.append(LinearFem(rest, cells)(condition).deformed.astype(np.float32))
+                answers.append(kind(rest, cells)(condition).deformed.astype(np.float32))
             except (BodyError, LoadError):
                 answers.append(rest.astype(np.float32))
         return np.stack(answers)

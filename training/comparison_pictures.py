@@ -18,7 +18,9 @@ except ModuleNotFoundError as missing:  # pragma: no cover
     raise ModuleNotFoundError("Pictures need matplotlib: pip install 'physnet[pictures]'") from missing
 
 SHOWN = ("nothing moves", "coarse solve alone", "network")
-"""Lines of the curves, beside the finest of the finite elements."""
+"""Lines of the curves, beside the finest finite elements of each law."""
+
+LAWS = ("linear FEM", "neo-Hookean FEM")
 
 ENOUGH = 100
 """Voxels that a bin of probabilities must hold for its share to be shown."""
@@ -33,9 +35,9 @@ def curves(found: dict[str, Any]) -> bytes:
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     axes = figure.subplots(1, 3)
     names = [name for name in found["ms"] if name in SHOWN]
-    elements = [name for name in found["ms"] if name.startswith("linear FEM")]
+    names += [elements[-1] for law in LAWS if (elements := _of_law(found, law))]
     for axis, (label, parts) in zip(axes, found["curves"].items(), strict=False):
-        for name in [*names, *elements[-1:]]:
+        for name in names:
             axis.plot([part["middle"] for part in parts], [part["iou"][name] for part in parts], marker=".", label=name)
         axis.set(xlabel=label, ylabel="IoU, mean of a tenth of the samples")
     axes[0].legend(frameon=False, fontsize="small")
@@ -46,6 +48,36 @@ def curves(found: dict[str, Any]) -> bytes:
     axes[2].plot([0, 1], [0, 1], color="0.7", linewidth=0.8)
     axes[2].set(xlabel="probability of a voxel", ylabel="share of them that is filled")
     axes[2].legend(frameon=False, fontsize="small")
+    return _svg(figure)
+
+
+def frontier(found: dict[str, Any]) -> bytes:
+    """IoU against processor time of finite elements of all sizes, the coarse solve and the network, as an SVG.
+
+    Args:
+        found: See `comparison.report`.
+    """
+    figure = Figure(figsize=(6, 4), layout="constrained")
+    axes = figure.subplots()
+    ms, iou = found["ms"], {name: row["iou"] for name, row in found["bands"]["all"].items() if name != "samples"}
+    for law in LAWS:
+        names = _of_law(found, law)
+        axes.plot([ms[name] for name in names], [iou[name] for name in names], marker=".", label=law)
+        for name in names:
+            axes.annotate(name.split(", ")[1], (ms[name], iou[name]), (0, -12), textcoords="offset points", fontsize=8)
+    for name in ("coarse solve alone", "network"):
+        axes.plot(ms[name], iou[name], "*", markersize=11, label=name)
+    axes.set(xscale="log", xlabel="processor time of an answer, ms", ylabel=f"IoU, mean of {found['samples']} samples")
+    axes.legend(frameon=False, fontsize="small")
+    return _svg(figure)
+
+
+def _of_law(found: dict[str, Any], law: str) -> list[str]:
+    """Finite elements of a law, coarse to fine."""
+    return [name for name in found["ms"] if name.startswith(law)]
+
+
+def _svg(figure: Figure) -> bytes:
     target = io.BytesIO()
     figure.savefig(target, format="svg", metadata={"Date": None})
     return target.getvalue()

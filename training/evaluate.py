@@ -31,6 +31,7 @@ from training.networks.physnet import PhysNet
 from training.networks.recgan import RecGan
 from training.networks.reconstruction import ReconstructionNetwork, tempered
 from training.predict import peak_ratios, predict, relative_displacements
+from training.uncertainty import displacement_spread
 
 THRESHOLDS = (0.3, 0.35, 0.4, 0.45, 0.48, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8)
 """Candidates for the occupancy threshold, tuned on validation; the paper's 0.8 is among them and always printed."""
@@ -105,9 +106,7 @@ def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold:
     return figures
 
 
-def uncertain(
-    probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]
-) -> Bool[np.ndarray, "x y z"]:
+def uncertain(probability: Float32[np.ndarray, "x y z"], truth: Bool[np.ndarray, "x y z"]) -> Bool[np.ndarray, "x y z"]:
     """The voxels that calibration is asked of, see `UNCERTAIN`."""
     found: Bool[np.ndarray, "x y z"] = (np.abs(probability - 0.5) < 0.5 - UNCERTAIN) | ((probability > 0.5) != truth)
     return found
@@ -161,9 +160,7 @@ def evaluate_reconstruction(
 
 
 @torch.no_grad()
-def tune_threshold(
-    network: Deforming | Reconstructing, samples: DeformationSet | ViewSet, count: int = 160
-) -> float:
+def tune_threshold(network: Deforming | Reconstructing, samples: DeformationSet | ViewSet, count: int = 160) -> float:
     """The candidate threshold of the highest mean IoU on an evenly spread part of the validation split."""
     rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
     totals = np.zeros(len(THRESHOLDS))
@@ -249,7 +246,10 @@ def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None =
     figures: Figures
     if isinstance(network, Deforming):
         network, threshold, tuned = as_served(network, DeformationSet.load(data, "validation"), threshold)
-        figures = evaluate_deformation(network, DeformationSet.load(data, split), threshold) | tuned
+        judged = DeformationSet.load(data, split)
+        figures = evaluate_deformation(network, judged, threshold) | tuned
+        if isinstance(network, DeformationNetwork):
+            figures |= displacement_spread(network, judged)
     elif isinstance(network, Reconstructing):
         validation, tuned = ViewSet.load(data, "validation"), {}
         if isinstance(network, ReconstructionNetwork):

@@ -3,7 +3,7 @@ import pytest
 
 from service.core.grids import pack_bits
 from tests.training import tiny
-from training.baselines import LinearFem, NearestNeighbours, distance_of, identity, mean_shape
+from training.baselines import LinearFem, NearestNeighbours, NeoHookeanFem, distance_of, identity, mean_shape
 
 
 def bits(*grids: np.ndarray) -> np.ndarray:
@@ -77,3 +77,19 @@ def test_linear_fem_bends_a_column_as_a_beam() -> None:
     beam = load * height**3 / (3 * width**4 / 12) + load * height / (5 / 6 * shear_modulus * width**2)
     assert tip == pytest.approx(beam, rel=0.1)
     assert result.deformed.sum() == pytest.approx(rest.sum(), rel=0.02)
+
+
+def test_neo_hookean_fem_is_the_linear_one_for_small_loads_and_keeps_its_length_for_large_ones() -> None:
+    """A linear column grows as it bends: its tip moves along a straight line, not an arc."""
+    rest = np.zeros((64, 64, 64), bool)
+    rest[28:36, 16:48, :32] = True  # a wall, one cell thick at 8³
+    small = np.array([0.5, 0.5, 0.5, 1.0, 0.0, 0.0, -6.0, 0.3, 0.1], np.float32)
+    linear, nonlinear = LinearFem(rest, 8), NeoHookeanFem(rest, 8)
+    assert nonlinear(small).peak_displacement == pytest.approx(linear(small).peak_displacement, rel=1e-3)
+    large = small.copy()
+    large[6] += np.log10(0.25 / linear(small).peak_displacement)
+    assert linear(large).forward[2, 30, 20:44, 31].min() > nonlinear(large).forward[2, 30, 20:44, 31].min()
+    assert np.isfinite(nonlinear(large).peak_displacement)
+    top = nonlinear(large).forward[:, 32, 20:44, 30].mean(axis=1)
+    assert top[0] > 0.05
+    assert top[2] < -0.01

@@ -19,15 +19,17 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> tuple[DeformationSet, Defo
 def test_every_rival_is_scored_on_the_same_samples(sets: tuple[DeformationSet, DeformationSet]) -> None:
     training, test = sets
     rows = np.arange(len(test))
-    table = compare(contenders(tiny.deformation_network(), 0.5, training, [8]), test, rows)
+    table = compare(contenders(tiny.deformation_network(), 0.5, training, [8], [6]), test, rows)
     assert [scores.name for scores in table] == [
-        "nothing moves", "mean training shape", "4 nearest conditions", "linear FEM, 8³", "coarse solve alone",
-        "network",
+        "nothing moves", "mean training shape", "4 nearest conditions", "linear FEM, 8³",
+        "neo-Hookean FEM, 6³", "coarse solve alone", "network",
     ]  # fmt: skip
     np.testing.assert_allclose(table[0].iou, test.identity_iou, atol=1e-6)
+    # A solve costs its time although the set has kept its answer.
+    assert table[5].ms > table[0].ms
     assert not table[0].changed.any()
     # The blocks are sheared, which no solve of theirs would do; but they are pushed that way.
-    assert table[4].iou.mean() > table[1].iou.mean()
+    assert table[5].iou.mean() > table[1].iou.mean()
     found = report(table, test, rows)
     assert found["bands"]["all"]["nothing moves"]["skill"] == pytest.approx(0.0, abs=1e-6)
     assert found["bands"]["family: box"]["samples"] == len(test) == found["samples"]
@@ -60,7 +62,8 @@ def test_the_command_writes_both_reports(tmp_path: Path, capsys: pytest.CaptureF
     arguments = ["compare", "--run", str(tmp_path / "run"), "--data", str(data), "--out", str(tmp_path / "out")]
     assert main([*arguments, "--samples", "2", "--cells", "8"]) == 0
     assert (tmp_path / "out" / "comparison.md").read_text() in capsys.readouterr().out
-    assert b"<svg" in (tmp_path / "out" / "curves.svg").read_bytes()
+    for picture in ("curves.svg", "frontier.svg"):
+        assert b"<svg" in (tmp_path / "out" / picture).read_bytes()
     sheet = cv2.imread(str(tmp_path / "out" / "worst.png"))
     assert sheet.shape == (2 * TILE, 2 * TILE, 3)  # two samples, true and given
     assert (sheet < 250).any(axis=2).mean() > 0.05

@@ -14,13 +14,14 @@ def add_compare(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -
         "compare",
         help="put a deformation network beside no motion, known answers, finite elements and the coarse solve",
         description="Score a deformation network and its rivals one load at a time on bodies it has never seen; write "
-        "comparison.md, comparison.json, curves.svg and worst.png.",
+        "comparison.md, comparison.json, curves.svg, frontier.svg and worst.png.",
     )
     parser.add_argument("--run", dest="run_folder", type=Path, required=True)
     parser.add_argument("--data", type=Path, required=True, help="folder of the data set")
     parser.add_argument("--split", choices=["validation", "test"], default="test")
     parser.add_argument("--samples", type=int, default=200, help="evenly spread over the split")
     parser.add_argument("--cells", type=int, nargs="*", default=[8, 12, 16], help="of finite elements, along an edge")
+    parser.add_argument("--nonlinear-cells", type=int, nargs="*", default=[], help="of neo-Hookean ones: far slower")
     parser.add_argument("--out", type=Path, required=True, help="folder of the report")
     parser.set_defaults(run=_compare)
 
@@ -30,7 +31,7 @@ def _compare(options: argparse.Namespace) -> int:
     import torch
 
     from training.comparison import compare, contenders, deforming, markdown, report
-    from training.comparison_pictures import curves, worst
+    from training.comparison_pictures import curves, frontier, worst
     from training.data.batches import DeformationSet
     from training.data.store import StoreError
     from training.evaluate import as_served
@@ -42,7 +43,7 @@ def _compare(options: argparse.Namespace) -> int:
         network, threshold, _ = as_served(network, DeformationSet.load(options.data, "validation"))
         training = DeformationSet.load(options.data, "train", prior=False)
         samples = DeformationSet.load(options.data, options.split)
-        rivals = contenders(network, threshold, training, options.cells)
+        rivals = contenders(network, threshold, training, options.cells, options.nonlinear_cells)
     except (StoreError, FileNotFoundError, TypeError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1
@@ -52,6 +53,7 @@ def _compare(options: argparse.Namespace) -> int:
     (options.out / "comparison.json").write_text(json.dumps(found, indent=1) + "\n")
     (options.out / "comparison.md").write_text(markdown(found))
     (options.out / "curves.svg").write_bytes(curves(found))
+    (options.out / "frontier.svg").write_bytes(frontier(found))
     (options.out / "worst.png").write_bytes(worst(found, rivals[-1], samples))
     print(markdown(found), end="")
     return 0

@@ -160,7 +160,8 @@ class Frame:
     @property
     def world_from_grid(self) -> Transform:
         """Pose of the view grid among the bodies."""
-        return invert_rigid(self.viewpoint.camera_from_world) @ self.view.grid.camera_from_grid
+        pose: Transform = invert_rigid(self.viewpoint.camera_from_world) @ self.view.grid.camera_from_grid
+        return pose
 
 
 class Hints(NamedTuple):
