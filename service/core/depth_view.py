@@ -18,6 +18,8 @@ from service.core.compiled import compiled
 Window: TypeAlias = tuple[slice, slice]
 """Rows and columns of an image."""
 
+Rays: TypeAlias = Float32[np.ndarray, "rows columns"]
+
 WHOLE_IMAGE: Window = (slice(None), slice(None))
 
 JUMP_M = 0.008
@@ -61,14 +63,6 @@ class DepthView:
         _measure(where, to_row, to_column, float(self.stride), distances_px)
         return distances_px
 
-    def part(self, window: Window) -> DepthView:
-        """A window of the view itself."""
-        first_pixel = tuple(
-            first + self.stride * side.start for first, side in zip(self.first_pixel, window, strict=True)
-        )
-        z_m, ray_x, ray_y = (np.ascontiguousarray(image[window]) for image in (self.z_m, self.ray_x, self.ray_y))
-        return DepthView(z_m, ray_x, ray_y, (first_pixel[0], first_pixel[1]), self.stride)
-
     def crop(self, mask: Mask) -> Bool[np.ndarray, "rows columns"]:
         """The view's own pixels of a mask of the whole image."""
         rows, columns = self.z_m.shape
@@ -81,25 +75,35 @@ class DepthView:
 
 def view_depth(depth_m: DepthImage, intrinsics: Intrinsics, window: Window = WHOLE_IMAGE, stride: int = 1) -> DepthView:
     """Look at a window of a depth image; an empty window gives an empty view."""
-    rows, columns = (side.indices(size) for side, size in zip(window, depth_m.shape, strict=True))
-    grid = (slice(rows[0], rows[1], stride), slice(columns[0], columns[1], stride))
-    z_m = np.ascontiguousarray(depth_m[grid])
-    whole_x, whole_y = ray_grid(intrinsics)
+    rows, columns = _pixels(depth_m.shape, window, stride)
+    z_m = np.ascontiguousarray(depth_m[rows, columns])
+    ray_x, ray_y = view_rays(intrinsics, window, stride)
+    return DepthView(z_m, ray_x, ray_y, (rows.start, columns.start), stride)
+
+
+def view_rays(intrinsics: Intrinsics, window: Window, stride: int) -> tuple[Rays, Rays]:
+    """x/z and y/z of the rays of a view's pixels."""
     if window == WHOLE_IMAGE:
-        ray_x, ray_y = _thinned_rays(intrinsics, stride)
-    elif intrinsics.distortion is None:
-        # All rows have one row's x/z and all columns one column's y/z: nothing more is fetched from memory.
-        ray_x, ray_y = np.empty_like(z_m), np.empty_like(z_m)
-        ray_x[:], ray_y[:] = whole_x[0, grid[1]], whole_y[grid[0], :1]
-    else:
-        ray_x, ray_y = whole_x[grid].copy(), whole_y[grid].copy()
-    return DepthView(z_m, ray_x, ray_y, (rows[0], columns[0]), stride)
+        return _thinned_rays(intrinsics, stride)
+    pixels = _pixels((intrinsics.height, intrinsics.width), window, stride)
+    whole_x, whole_y = ray_grid(intrinsics)
+    if intrinsics.distortion is not None:
+        return whole_x[pixels].copy(), whole_y[pixels].copy()
+    # All rows have one row's x/z and all columns one column's y/z: nothing more is fetched from memory.
+    across, down = whole_x[:1, pixels[1]], whole_y[pixels[0], :1]
+    ray_x, ray_y = (np.empty((down.shape[0], across.shape[1]), np.float32) for _ in range(2))
+    ray_x[:], ray_y[:] = across, down
+    return ray_x, ray_y
+
+
+def _pixels(shape: tuple[int, ...], window: Window, stride: int) -> Window:
+    """Every `stride`-th row and column of a window, as slices of the whole image."""
+    (top, bottom, _), (left, right, _) = (side.indices(size) for side, size in zip(window, shape, strict=True))
+    return slice(top, bottom, stride), slice(left, right, stride)
 
 
 @lru_cache(maxsize=8)
-def _thinned_rays(
-    intrinsics: Intrinsics, stride: int
-) -> tuple[Float32[np.ndarray, "rows columns"], Float32[np.ndarray, "rows columns"]]:
+def _thinned_rays(intrinsics: Intrinsics, stride: int) -> tuple[Rays, Rays]:
     """Rays of every `stride`-th pixel, gathered once for a camera: strided reads cost more than the arithmetic."""
     # Copies that could be written, as all other rays of a view: kernels are compiled once more for read-only arrays.
     ray_x, ray_y = (image[::stride, ::stride].copy() for image in ray_grid(intrinsics))

@@ -210,7 +210,13 @@ def _join_vessels(
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:
     """Two unit vectors across `up`; any will do."""
     # The cross product of `up` and the axis it has least of, and of `up` and that.
-    least = int(np.argmin(np.abs(up)))
-    first = cross(up, np.eye(3)[least])
-    first /= math.hypot(*first)
+    x, y, z = up.tolist()
+    least = min(abs(x), abs(y), abs(z))
+    if abs(x) == least:
+        first = np.array([0.0, z, -y])
+    elif abs(y) == least:
+        first = np.array([-z, 0.0, x])
+    else:
+        first = np.array([y, -x, 0.0])
+    first /= math.sqrt(float(first @ first))
     return np.array([first, cross(up, first)], np.float32)

@@ -191,16 +191,12 @@ def _find_object(
     """
     level = support.fitted.normal if support is not None else IMAGE_UP if up is None else up
     stride = max(1, round(intrinsics.width / COARSE_WIDTH))
-    view = view_depth(depth_m, intrinsics, window, stride)
-    clearance = None
-    if support is not None:
-        clearance = support.clearance(view)
-        above = clearance > CORE_TOLERANCES[-1]
-        if not above.any():
-            return None
-        # The table is most of an image. One pixel more on each side tells what hangs in the air there.
-        standing = window_around(above, margin_px=1)
-        view, clearance = view.part(standing), clearance[standing]
+    # The table is most of an image.
+    standing = window if support is None else support.window_above(depth_m, intrinsics, window, stride)
+    if standing is None:
+        return None
+    view = view_depth(depth_m, intrinsics, standing, stride)
+    clearance = None if support is None else support.clearance(view)
     surface = on_surface(view.z_m)
     found: tuple[Footprints, int, Window] | None = None
     for tolerances in CORE_TOLERANCES:

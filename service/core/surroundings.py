@@ -12,7 +12,7 @@ from jaxtyping import Float32
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics
 from service.core.compiled import compiled
-from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, view_depth, window_around
+from service.core.depth_view import WHOLE_IMAGE, DepthView, Rays, Window, view_depth, view_rays, window_around
 from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
 
 PLANE_SAMPLES = 3000
@@ -35,6 +35,64 @@ class Support:
         normal, offset_m = self.fitted.normal.astype(np.float32), np.float32(self.fitted.offset_m)
         _clear(view.z_m, view.ray_x, view.ray_y, normal, offset_m, clearance)
         return clearance
+
+    def window_above(self, depth_m: DepthImage, intrinsics: Intrinsics, window: Window, stride: int) -> Window | None:
+        """Where readings rise above the plane by more than its tolerance, for a view of what rises.
+
+        Args:
+            depth_m: Metres, NaN where there is no reading.
+            intrinsics: The camera.
+            window: What is looked at.
+            stride: Every how many rows and columns of it are.
+
+        Returns:
+            The box around what rises and, inside the window, one more of those rows and columns on each side, which
+            tell what hangs in the air there; None where nothing rises.
+        """
+        sides = [side.indices(size) for side, size in zip(window, depth_m.shape, strict=True)]
+        corner = sides[0][0], sides[1][0]
+        normal, offset_m = self.fitted.normal.astype(np.float32), np.float32(self.fitted.offset_m)
+        box = _find_above(depth_m, *view_rays(intrinsics, window, stride), *corner, stride, normal, offset_m)
+        if box[1] < 0:
+            return None
+        rows, columns = (
+            slice(max(start + stride * (first - 1), start), min(start + stride * (last + 1) + 1, stop))
+            for (start, stop, _), first, last in zip(sides, box[::2], box[1::2], strict=True)
+        )
+        return rows, columns
+
+
+@compiled
+def _find_above(
+    depth_m: DepthImage,
+    ray_x: Rays,
+    ray_y: Rays,
+    top: int,
+    left: int,
+    stride: int,
+    normal: Float32[np.ndarray, "3"],
+    offset_m: np.float32,
+) -> tuple[int, int, int, int]:
+    """First and last row, first and last column of the rays whose readings rise above a plane; -1 last for none."""
+    nx, ny, nz = normal
+    rows, columns = ray_x.shape
+    z_m = np.empty(columns, np.float32)
+    first_row, last_row, first_column, last_column = rows, -1, np.int32(columns), np.int32(-1)
+    for row in range(rows):
+        line = depth_m[top + stride * row]
+        for column in range(columns):
+            z_m[column] = line[np.uintp(left + stride * column)]
+        first, last = np.int32(columns), np.int32(-1)
+        for column in range(columns):
+            z = z_m[column]
+            height_m = (nx * ray_x[row, column] + ny * ray_y[row, column] + nz) * z + offset_m
+            rises = height_m > plane_tolerance_m(z)
+            first = min(first, np.int32(column) if rises else np.int32(columns))
+            last = max(last, np.int32(column) if rises else np.int32(-1))
+        if last >= 0:
+            first_row, last_row = min(first_row, row), row
+            first_column, last_column = min(first_column, first), max(last_column, last)
+    return first_row, last_row, int(first_column), int(last_column)
 
 
 def distances_m(points: Points, place_m: Vector3) -> Float32[np.ndarray, " n"]:

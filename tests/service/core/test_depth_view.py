@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.core.camera import back_project, ray_grid
-from service.core.depth_view import JUMP_M, JUMP_PER_DEPTH, WHOLE_IMAGE, narrowed, on_surface, view_depth, window_around
+from service.core.depth_view import JUMP_M, JUMP_PER_DEPTH, narrowed, on_surface, view_depth, window_around
 from tests.synthetic_scenes import CAMERA, Box, render
 
 SCENE = render([Box((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))])
@@ -96,12 +96,3 @@ def test_thin_rod_is_a_surface() -> None:
     z_m = np.full((20, 20), 0.9, np.float32)
     z_m[:, 7] = 0.6
     assert on_surface(z_m).all()
-
-
-def test_a_part_of_a_view_is_the_view_of_that_window() -> None:
-    depth_m = np.random.default_rng(0).random((480, 640), np.float32)
-    part = view_depth(depth_m, CAMERA, WHOLE_IMAGE, 2).part((slice(10, 20), slice(30, 50)))
-    same = view_depth(depth_m, CAMERA, (slice(20, 40), slice(60, 100)), 2)
-    for one, other in ((part.z_m, same.z_m), (part.ray_x, same.ray_x), (part.ray_y, same.ray_y)):
-        np.testing.assert_array_equal(one, other)
-    assert part.first_pixel == same.first_pixel == (20, 60)

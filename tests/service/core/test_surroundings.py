@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from service.core.depth_view import view_depth
+import numpy as np
+import pytest
+
+from service.core.depth_view import WHOLE_IMAGE, Window, view_depth, window_around
 from service.core.support_plane import SupportPlane
 from service.core.surroundings import Support, distances_m
 from tests.synthetic_scenes import CAMERA, Box, render
@@ -22,6 +25,29 @@ def test_clearance_is_the_height_in_tolerances_of_its_depth() -> None:
     heights_m = clearance * np.maximum(0.003, 0.006 * view.z_m)
     assert np.nanmax(np.abs(heights_m[view.crop(SCENE.shown == -1)])) < 1e-5
     assert abs(heights_m[view.crop(SCENE.shown == 0)].max() - 0.1) < 1e-5
+
+
+@pytest.mark.parametrize("window", [WHOLE_IMAGE, (slice(11, 400), slice(60, 335))], ids=["all", "part"])
+@pytest.mark.parametrize("distortion", [None, (0.02, -0.01, 0.001, 0.002)], ids=["rectified", "distorted"])
+def test_the_window_above_is_the_box_around_what_rises_and_one_pixel_more(
+    window: Window, distortion: tuple[float, ...] | None
+) -> None:
+    camera = replace(CAMERA, distortion=distortion)
+    support = Support(SupportPlane(SCENE.up, SCENE.offset_m), SupportPlane(SCENE.up, SCENE.offset_m))
+    view = view_depth(SCENE.depth_m, camera, window, 3)
+    rows, columns = window_around(support.clearance(view) > 1.0, margin_px=1)
+    assert 20 < rows.stop - rows.start < view.z_m.shape[0]
+    assert 20 < columns.stop - columns.start < view.z_m.shape[1]
+    found = support.window_above(SCENE.depth_m, camera, window, 3)
+    assert found is not None
+    part = view_depth(SCENE.depth_m, camera, found, 3)
+    assert part.first_pixel == (view.first_pixel[0] + 3 * rows.start, view.first_pixel[1] + 3 * columns.start)
+    np.testing.assert_array_equal(part.z_m, view.z_m[rows, columns])
+
+
+def test_nothing_rises_above_a_bare_table() -> None:
+    support = Support(SupportPlane(SCENE.up, SCENE.offset_m), SupportPlane(SCENE.up, SCENE.offset_m))
+    assert support.window_above(SCENE.depth_m, CAMERA, (slice(430, 480), WHOLE_IMAGE[1]), 2) is None
 
 
 def test_distances_are_euclidean() -> None:
