@@ -13,11 +13,12 @@ from jaxtyping import Float32, Int
 from service.core.compiled import compiled
 from service.core.prior_element import cell_stiffness, floor_stiffness
 from service.core.prior_grid import CORNERS, CellGrid
-from service.core.prior_rotation import Matrices
+from service.core.prior_rotation import Matrices, Nine
 
 _BLOCK = 8
 """The cells are filled up to a multiple of this with such as have no stiffness; there is one at least."""
 
+_NINE_ZEROS = (np.float32(0.0),) * 9
 _LOWER = np.flatnonzero(CORNERS[:, 2] == 0)
 
 Nodal = Float32[np.ndarray, "3 n"]
@@ -57,20 +58,33 @@ class Cells(NamedTuple):
         """
         m, n = len(grid.cells), len(grid.nodes)
         k = m // _BLOCK * _BLOCK + _BLOCK
-        nodes = np.zeros((8, k), np.int64)
-        nodes[:, :m] = grid.cell_nodes.T
-        around = np.full((8, n), m)
-        around[np.arange(8)[:, None], nodes[:, :m]] = np.arange(m)
-        fill = np.zeros(k, np.float32)
-        fill[:m] = np.maximum(grid.fill, 1e-3)
-        share = fill[around]
-        bed = floor_stiffness(grid)[:, _LOWER][:, :, _LOWER].transpose(1, 2, 0)
+        nodes, around, share = np.zeros((8, k), np.int64), np.empty((8, n), np.int64), np.empty((8, n), np.float32)
+        _list_cells(grid.cell_nodes, grid.fill, nodes, around, share)
         return cls(
             own=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
-            rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share / share.sum(axis=0),
-            sole=np.ascontiguousarray(nodes[_LOWER][:, grid.floor_cells]),
-            bed=np.ascontiguousarray(bed, np.float32),
+            rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share,
+            sole=nodes[_LOWER[:, None], grid.floor_cells], bed=floor_stiffness(grid),
         )  # fmt: skip
+
+
+@compiled
+def _list_cells(
+    cell_nodes: Int[np.ndarray, "m 8"], fill: Float32[np.ndarray, " m"], nodes: Int[np.ndarray, "8 k"],
+    around: Int[np.ndarray, "8 n"], share: Float32[np.ndarray, "8 n"],
+) -> None:  # fmt: skip
+    """Write the nodes of every cell, and of every node its cells and their shares."""
+    around[...] = len(cell_nodes)
+    share[...] = 0.0
+    for c in range(len(cell_nodes)):
+        for a in range(8):
+            v = cell_nodes[c, a]
+            nodes[a, c], around[a, v], share[a, v] = v, c, max(fill[c], np.float32(1e-3))
+    for v in range(around.shape[1]):
+        total = np.float32(0.0)
+        for a in range(8):
+            total += share[a, v]
+        for a in range(8):
+            share[a, v] /= total
 
 
 @compiled
@@ -134,14 +148,28 @@ def at_nodes(cells: Cells, corners: Corners, result: Nodal) -> None:
 @compiled
 def mean_at_nodes(cells: Cells, matrices: Matrices, result: Matrices) -> None:
     """Means over the cells around each node, by the material they hold."""
-    for i in range(len(result)):
-        for j in range(result.shape[1]):
-            of, row = matrices[i, j], result[i, j]
-            row[:] = 0.0
-            for a in range(len(cells.around)):
-                cell, share = cells.around[a], cells.share[a]
-                for v in range(len(row)):
-                    row[v] += share[v] * of[cell[v]]
+    nine = np.empty((matrices.shape[2], 9), np.float32)  # those of a cell side by side
+    for i in range(3):
+        for j in range(3):
+            for c in range(len(nine)):
+                nine[c, 3 * i + j] = matrices[i, j, c]
+    for v in range(result.shape[2]):
+        sums = _NINE_ZEROS
+        for a in range(len(cells.around)):
+            sums = _added(sums, cells.share[a, v], nine[cells.around[a, v]])
+        result[0, 0, v], result[0, 1, v], result[0, 2, v] = sums[0], sums[1], sums[2]
+        result[1, 0, v], result[1, 1, v], result[1, 2, v] = sums[3], sums[4], sums[5]
+        result[2, 0, v], result[2, 1, v], result[2, 2, v] = sums[6], sums[7], sums[8]
+
+
+@compiled
+def _added(sums: Nine, share: np.float32, values: Float32[np.ndarray, "9"]) -> Nine:
+    a, b, c, d, e, f, g, h, i = sums
+    return (
+        a + share * values[0], b + share * values[1], c + share * values[2],
+        d + share * values[3], e + share * values[4], f + share * values[5],
+        g + share * values[6], h + share * values[7], i + share * values[8],
+    )  # fmt: skip
 
 
 @compiled

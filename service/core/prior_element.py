@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float32, Float64
 
+from service.core.compiled import compiled
 from service.core.prior_grid import CORNERS, POINTS_27, CellGrid, shape_functions
 from service.core.prior_moments import GAUSS_3
 
@@ -19,14 +20,20 @@ FLOOR_STIFFNESS = 300.0
 500, which finer cells would feel as soft as this: measured best on 139 bodies of the simulator."""
 
 _WEIGHTS_3 = np.array([5.0, 8.0, 5.0]) / 18.0
-_WEIGHTS_27 = (_WEIGHTS_3[:, None, None] * _WEIGHTS_3[:, None] * _WEIGHTS_3).ravel()
+_WEIGHTS_27 = (_WEIGHTS_3[:, None, None] * _WEIGHTS_3[:, None] * _WEIGHTS_3).ravel().astype(np.float32)
+_MODES = (POINTS_27 - 0.5).astype(np.float32)
 _SIGNS = np.where(CORNERS == 1, 1.0, -1.0)
 _FACTORS = np.where(CORNERS == 1, POINTS_27[:, None, :], 1.0 - POINTS_27[:, None, :])
-_GRADIENTS = np.stack(
-    [_SIGNS[:, axis] * np.delete(_FACTORS, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2
+_GRADIENTS = np.ascontiguousarray(
+    np.stack([_SIGNS[:, axis] * np.delete(_FACTORS, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2),
+    np.float32,
 )  # (27, 8, 3), of the unit cell
-_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij")).reshape(3, -1)).T
-_FLOOR_PAIRS = (_FLOOR_SHAPE[:, :, None] * _FLOOR_SHAPE[:, None, :]).reshape(9, 64)
+_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij")).reshape(3, -1))
+_FLOOR_SHAPE = _FLOOR_SHAPE[CORNERS[:, 2] == 0]
+_FLOOR_PAIRS = (_FLOOR_SHAPE[:, None] * _FLOOR_SHAPE).reshape(16, 9).astype(np.float32)
+
+Moduli = Float32[np.ndarray, "9 9"]
+Rows = Float32[np.ndarray, "9 24"]
 
 
 def cell_stiffness(grid: CellGrid, poisson_ratio: float, count: int) -> Float32[np.ndarray, "24 24 count"]:
@@ -45,29 +52,68 @@ def cell_stiffness(grid: CellGrid, poisson_ratio: float, count: int) -> Float32[
     Source: Simo and Rifai, IJNME 29 (1990), here with the enhancement of the full parallelepiped (Taylor, Beresford and
     Wilson, IJNME 10 (1976)) also in cells that are part full.
     """
-    moduli = elastic_moduli(poisson_ratio)
-    operator = np.zeros((27, 9, 24))
-    for i in range(3):
-        operator[:, 3 * i : 3 * i + 3, i::3] = (_GRADIENTS / grid.edges).transpose(0, 2, 1)
-    modes = np.tile(POINTS_27 - 0.5, (1, 3))  # entry 3i + j varies along axis j
-    stress = moduli @ operator
-    coupling = ((_WEIGHTS_27[:, None] * modes)[:, :, None] * stress).sum(axis=0)
-    # ∫(ξ_j − ½)² = 1/12, and entries of the same j are uncoupled by an isotropic law
-    parameters = -12.0 * coupling / np.diag(moduli)[:, None]
-    enhanced = operator + modes[:, :, None] * parameters
-    table = enhanced.transpose(0, 2, 1) @ (moduli @ enhanced)
-    laplace = np.tensordot(_WEIGHTS_27, operator.transpose(0, 2, 1) @ operator, axes=1)
-    table = np.concatenate([table, laplace[None]]).reshape(28, 576) * grid.edges.prod()
+    table = np.zeros((28, 24, 24), np.float32)
+    _point_stiffness(elastic_moduli(poisson_ratio).astype(np.float32), grid.edges.astype(np.float32), table)
     share = np.zeros((28, count), np.float32)
     share[:27, : len(grid.cells)] = grid.weights * np.maximum(grid.fill, 1e-3) ** (FILL_POWER - 1.0)
     share[27, : len(grid.cells)] = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
-    return np.asarray((table.astype(np.float32).T @ share).reshape(24, 24, count))
+    return np.asarray((table.reshape(28, 576).T @ share).reshape(24, 24, count))
 
 
-def floor_stiffness(grid: CellGrid) -> Float64[np.ndarray, "b 8 8"]:
-    """Stiffness of the bed under every floor cell, the same along each axis."""
-    scale = FLOOR_STIFFNESS * grid.edges[0] * grid.edges[1]
-    return np.asarray((scale * grid.floor_weights.T @ _FLOOR_PAIRS).reshape(-1, 8, 8))
+@compiled
+def _point_stiffness(moduli: Moduli, edges: Float32[np.ndarray, "3"], table: Float32[np.ndarray, "28 24 24"]) -> None:
+    """Add what each Gauss point stands for in the stiffness of a full cell, by its weight, and last that of the void.
+
+    The entry 3i + j of a displacement gradient is ∂u_i/∂x_j, enhanced by a mode that varies along axis j.
+    """
+    gradient, stress = np.zeros((27, 9, 24), np.float32), np.empty((9, 24), np.float32)
+    coupling = np.zeros((9, 24), np.float32)
+    volume = edges[0] * edges[1] * edges[2]
+    for q in range(len(gradient)):
+        for a in range(8):
+            for i in range(3):
+                for j in range(3):
+                    gradient[q, 3 * i + j, 3 * a + i] = _GRADIENTS[q, a, j] / edges[j]
+        _stresses(moduli, gradient[q], stress)
+        for m in range(len(coupling)):
+            _add(_WEIGHTS_27[q] * _MODES[q, m % 3], stress[m], coupling[m])
+        _add_products(gradient[q], gradient[q], _WEIGHTS_27[q] * volume, table[27])
+    for q in range(len(gradient)):
+        for m in range(len(coupling)):
+            # ∫(ξ_j − ½)² = 1/12, and entries of the same j are uncoupled by an isotropic law
+            _add(np.float32(-12.0) * _MODES[q, m % 3] / moduli[m, m], coupling[m], gradient[q, m])
+        _stresses(moduli, gradient[q], stress)
+        _add_products(gradient[q], stress, volume, table[q])
+
+
+@compiled
+def _stresses(moduli: Moduli, gradient: Rows, stress: Rows) -> None:
+    stress[...] = 0.0
+    for m in range(len(moduli)):
+        for n in range(len(moduli)):
+            if moduli[m, n] != 0.0:
+                _add(moduli[m, n], gradient[n], stress[m])
+
+
+@compiled
+def _add_products(first: Rows, second: Rows, share: np.float32, result: Float32[np.ndarray, "24 24"]) -> None:
+    """Add a share of the products of columns."""
+    for a in range(len(result)):
+        for m in range(len(first)):
+            if first[m, a] != 0.0:
+                _add(share * first[m, a], second[m], result[a])
+
+
+@compiled
+def _add(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " n"]) -> None:
+    for i in range(len(result)):
+        result[i] += share * values[i]
+
+
+def floor_stiffness(grid: CellGrid) -> Float32[np.ndarray, "4 4 b"]:
+    """Stiffness of the bed under every floor cell between its lower corners, the same along each axis."""
+    scale = np.float32(FLOOR_STIFFNESS * grid.edges[0] * grid.edges[1])
+    return np.asarray((_FLOOR_PAIRS @ (scale * grid.floor_weights)).reshape(4, 4, -1))
 
 
 def elastic_moduli(poisson_ratio: float) -> Float64[np.ndarray, "9 9"]:
@@ -77,7 +123,11 @@ def elastic_moduli(poisson_ratio: float) -> Float64[np.ndarray, "9 9"]:
     """
     shear = 0.5 / (1.0 + poisson_ratio)
     lame = poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    identity = np.eye(3)
-    moduli = lame * np.einsum("ij,kl->ijkl", identity, identity)
-    moduli += shear * (np.einsum("ik,jl->ijkl", identity, identity) + np.einsum("il,jk->ijkl", identity, identity))
-    return np.asarray(moduli.reshape(9, 9))
+    return np.asarray(lame * _TRACE + shear * _TWICE_SYMMETRIC)
+
+
+_IDENTITY = np.eye(3)
+_TRACE = np.einsum("ij,kl->ijkl", _IDENTITY, _IDENTITY).reshape(9, 9)
+_TWICE_SYMMETRIC = (
+    np.einsum("ik,jl->ijkl", _IDENTITY, _IDENTITY) + np.einsum("il,jk->ijkl", _IDENTITY, _IDENTITY)
+).reshape(9, 9)

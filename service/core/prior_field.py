@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,7 @@ from jaxtyping import Float32
 from service.core.compiled import compiled
 from service.core.prior_cells import Cells, Nodal, at_corners, gradients
 from service.core.prior_grid import POINTS_27, CellGrid, shape_functions
+from service.core.prior_interpolation import NewRows, Rows, interpolate
 from service.core.prior_rotation import Matrices, add_identity, cofactors
 
 FIELD_SIZE = 32
@@ -24,24 +26,26 @@ _VOID_SHARE = 0.02
 _MIN_DETERMINANT = np.float32(0.1)
 _SHAPE_27: Float32[np.ndarray, "27 8"] = np.ascontiguousarray(shape_functions(POINTS_27.T).T, np.float32)
 _FULL_27 = np.outer(np.outer([5.0, 8.0, 5.0], [5.0, 8.0, 5.0]), [5.0, 8.0, 5.0]).ravel() / 18.0**3
+_PER_FULL_27 = (1.0 / _FULL_27[:, None]).astype(np.float32)
 
 Fields = Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]
 Sums = Float32[np.ndarray, "bins sums"]
+Row = Float32[np.ndarray, " k"]
 
 
 class Points(NamedTuple):
-    """27 points of every cell, their places at rest and the material that each stands for."""
+    """27 points of every cell at rest, and the material that each stands for."""
 
-    place: Float32[np.ndarray, "27 3 m"]
+    corner: Float32[np.ndarray, "3 m"]
+    offset: Float32[np.ndarray, "27 3"]
     share: Float32[np.ndarray, "27 m"]
 
     @classmethod
     def of(cls, grid: CellGrid) -> Points:
         """Those of Gauss's rule in the cells of a grid."""
-        offset = grid.low[:, None] + grid.cells.T * grid.edges[:, None]
-        place = offset + (POINTS_27 * grid.edges)[:, :, None]
-        share = np.maximum(grid.weights / _FULL_27[:, None], 0.0) + _VOID_SHARE
-        return cls(place.astype(np.float32), share.astype(np.float32))
+        corner = (grid.low + grid.cells * grid.edges).T
+        share = np.maximum(grid.weights * _PER_FULL_27, np.float32(0.0)) + np.float32(_VOID_SHARE)
+        return cls(np.ascontiguousarray(corner, np.float32), (POINTS_27 * grid.edges).astype(np.float32), share)
 
 
 def backward_fields(points: Points, cells: Cells, displacement: Float32[np.ndarray, "loads 3 n"]) -> Fields:
@@ -57,16 +61,19 @@ def backward_fields(points: Points, cells: Cells, displacement: Float32[np.ndarr
         cells: Of the body.
         displacement: Displacement of every node.
     """
-    loads = len(displacement)
-    along_y = np.empty((3 * _SPLAT_SIZE, FIELD_SIZE, FIELD_SIZE), np.float32)
-    result = np.empty((loads, 3, FIELD_SIZE, FIELD_SIZE, FIELD_SIZE), np.float32)
+    loads, old, new = len(displacement), _SPLAT_SIZE, FIELD_SIZE
+    fine, coarse = np.empty((old**3, 4), np.float32), np.empty((_COARSE_SIZE**3, 13), np.float32)
+    value = np.empty((3, old**3), np.float32)
+    along_z, along_y = np.empty((3 * old * old, new, 1), np.float32), np.empty((3 * old, new, new), np.float32)
+    result = np.empty((loads, 3, new, new, new), np.float32)
     for load in range(loads):
-        fine = np.zeros((_SPLAT_SIZE**3, 4), np.float32)
-        coarse = np.zeros((_COARSE_SIZE**3, 13), np.float32)
+        fine[...] = 0.0
+        coarse[...] = 0.0
         _splat(points, cells, displacement[load], fine, coarse)
-        value = np.float32(_PARENT_SHARE) * _at_centres(coarse) + fine[:, 1:].T
-        value /= fine[:, 0] + np.float32(_PARENT_SHARE)
-        _refine(value, along_y, out=result[load])
+        _average(fine, coarse, value)
+        _refine(value.reshape(-1, old, 1), True, along_z)
+        _refine(along_z.reshape(-1, old, new), True, along_y)
+        _refine(along_y.reshape(3, old, new * new), True, result[load].reshape(3, new, new * new))
     return result
 
 
@@ -99,7 +106,9 @@ def _splat(points: Points, cells: Cells, displacement: Nodal, fine: Sums, coarse
         for c in range(cells.own):
             x, y, z = moved[0, c], moved[1, c], moved[2, c]
             share = points.share[q, c]
-            at_x, at_y, at_z = points.place[q, 0, c] + x, points.place[q, 1, c] + y, points.place[q, 2, c] + z
+            at_x = points.corner[0, c] + points.offset[q, 0] + x
+            at_y = points.corner[1, c] + points.offset[q, 1] + y
+            at_z = points.corner[2, c] + points.offset[q, 2] + z
             index_x, index_y, index_z = _lattice_index(at_x), _lattice_index(at_y), _lattice_index(at_z)
             sums = coarse[((index_x >> 2) * _COARSE_SIZE + (index_y >> 2)) * _COARSE_SIZE + (index_z >> 2)]
             centre_x, centre_y, centre_z = _centre(index_x), _centre(index_y), _centre(index_z)
@@ -143,55 +152,54 @@ def _backward_slopes(matrices: Matrices) -> None:
         matrices[2, 0, k], matrices[2, 1, k], matrices[2, 2, k] = -inverse * cc, -inverse * cf, good - inverse * ci
 
 
-def _at_centres(sums: Sums) -> Float32[np.ndarray, "3 cells"]:
-    """The coarse expansions, interpolated between centres of the coarse lattice and evaluated at those of the fine one.
+@compiled
+def _average(fine: Sums, coarse: Sums, result: Float32[np.ndarray, "3 cells"]) -> None:
+    """Write the means at the centres of the fine lattice, completed by the coarse expansions where it has few samples.
 
-    Where they are few the mean of all shows through. Interpolation and the product with one coordinate are one table,
-    [T, y T], to an axis.
+    The expansions are interpolated between centres of the coarse lattice; where they are few the mean of all shows
+    through.
     """
-    total = sums.T + np.float32(_PARENT_SHARE) * sums.mean(axis=0)[:, None]
-    expansions = (total[1:] / total[0]).reshape(12, _COARSE_SIZE, _COARSE_SIZE, _COARSE_SIZE)
-    constant, slope = expansions[:3], expansions[3:].reshape(3, 3, _COARSE_SIZE, _COARSE_SIZE, _COARSE_SIZE)
-    along_z = np.concatenate([constant, slope[:, 2]], axis=3) @ _EVALUATION.T
-    slope_z = slope[:, :2] @ _SPREADING.T
-    along_y = _EVALUATION @ np.concatenate([along_z, slope_z[:, 1]], axis=2)
-    slope_y = _SPREADING @ slope_z[:, 0]
-    rows = np.concatenate([along_y, slope_y], axis=1).reshape(3, 2 * _COARSE_SIZE, _SPLAT_SIZE**2)
-    return np.asarray((_EVALUATION @ rows).reshape(3, _SPLAT_SIZE**3))
+    few, count = np.float32(_PARENT_SHARE), len(coarse)
+    expansions = np.empty((12, count), np.float32)
+    for i in range(12):
+        mean, mean_share = np.float32(0.0), np.float32(0.0)
+        for c in range(count):
+            mean += coarse[c, 1 + i]
+            mean_share += coarse[c, 0]
+        mean, mean_share = few * mean / np.float32(count), few * mean_share / np.float32(count)
+        for c in range(count):
+            expansions[i, c] = (coarse[c, 1 + i] + mean) / (coarse[c, 0] + mean_share)
+    old, new = _COARSE_SIZE, _SPLAT_SIZE
+    along_z, along_y = np.empty((12 * old * old, new, 1), np.float32), np.empty((12 * old, new, new), np.float32)
+    spread = np.empty((12, new, new * new), np.float32)
+    _refine(expansions.reshape(12 * old * old, old, 1), False, along_z)
+    _refine(along_z.reshape(12 * old, old, new), False, along_y)
+    _refine(along_y.reshape(12, old, new * new), False, spread)
+    at, own, to = spread.reshape(12, new * new, new), fine.reshape(new * new, new, 4), result.reshape(3, new * new, new)
+    for row in range(new * new):
+        _complete(at[:, row], _centre(row // new), _centre(row % new), own[row], to[0, row], to[1, row], to[2, row])
 
 
-def _refine(
-    values: Float32[np.ndarray, "3 cells"],
-    along_y: Float32[np.ndarray, "rows y z"],
-    out: Float32[np.ndarray, "3 x y z"],
-) -> None:
-    """From the centres of the lattice to the nodes of the field; matrix products are faster than sums over strides.
-
-    Args:
-        values: At the centres.
-        along_y: To be written over: memory asked for anew is slow.
-        out: At the nodes.
-    """
-    old, new = _SPLAT_SIZE, FIELD_SIZE
-    along_z = values.reshape(-1, old) @ _TO_FIELD.T
-    np.matmul(_TO_FIELD, along_z.reshape(-1, old, new), out=along_y)
-    np.matmul(_TO_FIELD, along_y.reshape(3, old, new * new), out=out.reshape(3, new, new * new))
-
-
-def interpolation(coarse: int, fine: int, continued: bool) -> Float32[np.ndarray, "fine coarse"]:
-    """Linear interpolation from the centres of `coarse` cells to those of `fine`; past the last continued or held."""
-    place = (np.arange(fine) + 0.5) * coarse / fine - 0.5
-    if not continued:
-        place = np.clip(place, 0.0, coarse - 1.0)
-    below = np.clip(np.floor(place).astype(int), 0, coarse - 2)
-    table = np.zeros((fine, coarse), np.float32)
-    table[np.arange(fine), below] = 1.0 - (place - below)
-    table[np.arange(fine), below + 1] = place - below
-    return table
+@partial(compiled, apart=True)
+def _complete(
+    parents: Float32[np.ndarray, "12 k"], x: np.float32, y: np.float32, own: Float32[np.ndarray, "k 4"],
+    first: Row, second: Row, third: Row,
+) -> None:  # fmt: skip
+    """Write the means in a row along z: the sums there, and a little of the coarse expansions."""
+    few = np.float32(_PARENT_SHARE)
+    for k in range(len(first)):
+        z = (np.float32(k) + np.float32(0.5)) * np.float32(1.0 / _SPLAT_SIZE)
+        per_share = np.float32(1.0) / (own[k, 0] + few)
+        a = parents[0, k] + parents[3, k] * x + parents[4, k] * y + parents[5, k] * z
+        b = parents[1, k] + parents[6, k] * x + parents[7, k] * y + parents[8, k] * z
+        c = parents[2, k] + parents[9, k] * x + parents[10, k] * y + parents[11, k] * z
+        first[k] = (few * a + own[k, 1]) * per_share
+        second[k] = (few * b + own[k, 2]) * per_share
+        third[k] = (few * c + own[k, 3]) * per_share
 
 
-_TO_FIELD = interpolation(_SPLAT_SIZE, FIELD_SIZE, continued=True)
-_SPREADING = interpolation(_COARSE_SIZE, _SPLAT_SIZE, continued=False)
-_EVALUATION = np.hstack(
-    [_SPREADING, ((np.arange(_SPLAT_SIZE) + 0.5) / _SPLAT_SIZE).astype(np.float32)[:, None] * _SPREADING]
-)
+@compiled
+def _refine(values: Rows, continued: bool, result: NewRows) -> None:
+    """From the centres of few cells to those of more along the middle axis."""
+    step = np.float32(values.shape[1]) / np.float32(result.shape[1])
+    interpolate(values, np.float32(0.5) * step - np.float32(0.5), step, continued, result)

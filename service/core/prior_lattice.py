@@ -7,6 +7,7 @@ from jaxtyping import Float32, Int
 
 from service.core.compiled import compiled
 from service.core.prior_grid import CellGrid
+from service.core.prior_interpolation import interpolate
 
 LATTICE_SIZE = 16
 """Nodes of the lattice along each edge; node i lies at (i + ½)/16."""
@@ -24,17 +25,26 @@ def forward_lattice(grid: CellGrid, nodal: Float32[np.ndarray, "loads 3 n"]) -> 
         nodal: Displacement of every node, in edges of the body grid.
     """
     x, y, z = (cells + 1 for cells in grid.shape)
-    box = np.zeros((3 * len(nodal), x * y * z), np.float32)
+    box = np.zeros((3 * len(nodal), x, y, z), np.float32)
     when = np.full((x, y, z), -1)
-    place = np.ravel_multi_index(tuple(grid.nodes.T), (x, y, z))
-    box[:, place] = nodal.reshape(len(box), -1)
+    place = (grid.nodes[:, 0] * y + grid.nodes[:, 1]) * z + grid.nodes[:, 2]
+    box.reshape(len(box), -1)[:, place] = nodal.reshape(len(box), -1)
     when.ravel()[place] = 0
-    _spread(box, when)
-    tables = [_interpolation(float(grid.low[axis]), float(grid.edges[axis]), grid.shape[axis] + 1) for axis in range(3)]
-    along_z = box.reshape(-1, z) @ tables[2].T
-    along_y = np.matmul(tables[1], along_z.reshape(-1, y, LATTICE_SIZE))
-    along_x = np.matmul(tables[0], along_y.reshape(-1, x, LATTICE_SIZE**2))
-    return np.asarray(along_x.reshape(-1, 3, *(LATTICE_SIZE,) * 3))
+    _spread(box.reshape(len(box), -1), when)
+    size = LATTICE_SIZE
+    first, step = (
+        ((0.5 / size - grid.low) / grid.edges).astype(np.float32),
+        (1.0 / size / grid.edges).astype(np.float32),
+    )
+    along_z, along_y = (
+        np.empty((len(box) * x * y, size, 1), np.float32),
+        np.empty((len(box) * x, size, size), np.float32),
+    )
+    result = np.empty((len(box), size, size * size), np.float32)
+    interpolate(box.reshape(-1, z, 1), first[2], step[2], False, along_z)
+    interpolate(along_z.reshape(-1, y, size), first[1], step[1], False, along_y)
+    interpolate(along_y.reshape(-1, x, size * size), first[0], step[0], False, result)
+    return result.reshape(-1, 3, size, size, size)
 
 
 @compiled
@@ -78,13 +88,3 @@ def _take_mean(
                 total += values[c, other]
             values[c, (x * size_y + y) * size_z + z] = total / np.float32(known)
     return known > 0
-
-
-def _interpolation(low: float, edge: float, nodes: int) -> Float32[np.ndarray, "lattice nodes"]:
-    """Weights of a row of nodes at the places of the lattice, held at its ends."""
-    place = np.clip(((np.arange(LATTICE_SIZE) + 0.5) / LATTICE_SIZE - low) / edge, 0.0, nodes - 1.0)
-    below = np.minimum(np.floor(place).astype(int), nodes - 2)
-    table = np.zeros((LATTICE_SIZE, nodes), np.float32)
-    table[np.arange(LATTICE_SIZE), below] = 1.0 - (place - below)
-    table[np.arange(LATTICE_SIZE), below + 1] = place - below
-    return table

@@ -53,7 +53,7 @@ def _integrate(
     column, sole = np.empty(z.shape[1], np.float32), np.empty(y.shape[1], np.float32)
     plane = np.empty((y.shape[1], z.shape[1]), np.float32)
     total = np.zeros((x.shape[1], y.shape[1], z.shape[1]), np.float32)
-    floor[...] = 0.0
+    total_sole = np.zeros((x.shape[1], y.shape[1]), np.float32)
     for i in range(len(x) - 1):
         plane[...] = 0.0
         sole[:] = 0.0
@@ -77,11 +77,15 @@ def _integrate(
             if share != 0.0:
                 for q in range(len(plane)):
                     _add(share, plane[q], total[p, q])
-                    floor[3 * (p % 3) + q % 3, p // 3, q // 3] += share * sole[q]
-    for p in range(total.shape[0]):
-        for q in range(total.shape[1]):
-            for r in range(total.shape[2]):
-                weights[9 * (p % 3) + 3 * (q % 3) + r % 3, p // 3, q // 3, r // 3] = total[p, q, r]
+                _add(share, sole, total_sole[p])
+    for p in range(3):
+        for q in range(3):
+            for a in range(weights.shape[1]):
+                for b in range(weights.shape[2]):
+                    floor[3 * p + q, a, b] = total_sole[3 * a + p, 3 * b + q]
+                    for r in range(3):
+                        for c in range(weights.shape[3]):
+                            weights[9 * p + 3 * q + r, a, b, c] = total[3 * a + p, 3 * b + q, 3 * c + r]
 
 
 @compiled

@@ -21,8 +21,8 @@ def dense(grid: CellGrid, stiffness: np.ndarray, floor: np.ndarray) -> np.ndarra
     dof = (3 * grid.cell_nodes[:, :, None] + np.arange(3)).reshape(-1, 24)
     np.add.at(matrix, (dof[:, :, None], dof[:, None, :]), stiffness)
     for axis in range(3):
-        own = 3 * grid.cell_nodes[grid.floor_cells] + axis
-        np.add.at(matrix, (own[:, :, None], own[:, None, :]), floor)
+        own = 3 * grid.cell_nodes[grid.floor_cells, ::2] + axis  # the lower corners
+        np.add.at(matrix, (own[:, :, None], own[:, None, :]), floor.transpose(2, 0, 1))
     return matrix
 
 
