@@ -69,6 +69,9 @@ class DeformationModel:
     def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
         n = len(conditions)
+        if len({float(condition[POISSON_RATIO]) for condition in conditions}) == 1:  # as a rule: there is one material
+            answer = self._solver(rest, float(conditions[0][POISSON_RATIO])).displacements(conditions)
+            return Prior(answer.forward, answer.backward)
         forward, backward = np.zeros((n, 3, 16, 16, 16), np.float32), np.zeros((n, 3, 32, 32, 32), np.float32)
         ratios = np.array([condition[POISSON_RATIO] for condition in conditions])
         for ratio in np.unique(ratios):
