@@ -1,6 +1,6 @@
 """Which push moves this object's top most, without bending it further than allowed? One request asks all of them.
 
-    python examples/client_plan.py [--url grpc://127.0.0.1:8001] [--force 20] [--limit-mm 40]
+    python examples/client_plan.py [--url grpc://127.0.0.1:8001] [--force 5] [--limit-mm 40]
 
 Twelve horizontal directions are tried at the contact; one reconstruction and one batch of the deformation network
 answer them together. With a body kept by the service, further pushes need no frame any more.
@@ -35,7 +35,7 @@ def horizontal_pushes(up: np.ndarray, force_n: float) -> list[Push]:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Choose among pushes by what they would do.")
     parser.add_argument("--url", default="grpc://127.0.0.1:8001")
-    parser.add_argument("--force", type=float, default=20.0, metavar="N")
+    parser.add_argument("--force", type=float, default=5.0, metavar="N")
     parser.add_argument("--limit-mm", type=float, default=40.0, metavar="MM", help="largest displacement allowed")
     given = parser.parse_args()
     depth_mm = cv2.imread(str(FRAME / "depth.png"), cv2.IMREAD_UNCHANGED)
