@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from jaxtyping import Bool, Float64, Int
 from scipy import ndimage
 
+from service.core.compiled import compiled
 from training.simulation.cell_lookup import DEPTHS, locate, settle
 from training.simulation.clamp import Bed, Clamp, RigidClamp
 from training.simulation.element_order import gather, scatter
@@ -276,11 +277,8 @@ class _Hold:
             raise self.error("too little of the shape does to keep it from turning")
         shape = shape_functions(local[good])
         touched, group = np.unique(cell[good], return_inverse=True)
-        # the sum over points of stiffness times the product of two shape functions, as one product for each cell pair
-        pairs = (shape[:, :, None] * shape[:, None, :]).reshape(-1, 64) * self.bed.stiffness[good, None]
-        size = (len(touched), len(group))
-        summed = sp.csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=size) @ pairs
-        blocks = np.asarray(summed).reshape(-1, 8, 8)
+        blocks = np.zeros((len(touched), 8, 8))
+        _add_products(shape, self.bed.stiffness[good], group, blocks)
         row = np.repeat(cell_nodes[touched], 8, axis=1).ravel()
         column = np.tile(cell_nodes[touched], (1, 8)).ravel()
         return sp.coo_array((blocks.ravel(), (row, column)), shape=(nodes, nodes)).tocsr()
@@ -289,3 +287,18 @@ class _Hold:
         if isinstance(self.clamp, Clamp) and self.clamp.region is not None:
             return BodyError("clamp_off_body", f"the clamp's region must hold a patch of the surface: {what}")
         return BodyError("not_standing", f"the shape must touch the support plane z = 0: {what}")
+
+
+@compiled
+def _add_products(
+    shape: Float64[np.ndarray, "n 8"],
+    stiffness: Float64[np.ndarray, " n"],
+    group: Int[np.ndarray, " n"],
+    blocks: Float64[np.ndarray, "m 8 8"],
+) -> None:
+    """Add the stiffness of every point times the products of two shape functions to the block of its group."""
+    for row in range(len(shape)):
+        for a in range(8):
+            part = stiffness[row] * shape[row, a]
+            for b in range(8):
+                blocks[group[row], a, b] += part * shape[row, b]

@@ -71,7 +71,7 @@ def material_points(
     Returns:
         How many rows of `place` and of `asked` are written.
     """
-    bound = np.float32(0.5 + _TOLERANCE)
+    cell_edge, voxel_edge, bound = 1.0 / cells, 1.0 / size, np.float32(0.5 + _TOLERANCE)
     terms, inverse, curved = np.empty((8, 3)), np.empty((3, 3)), np.empty((3, 4))
     first, last = np.empty(3, np.int64), np.empty(3, np.int64)
     local = np.empty(3 * _TILE * _TILE, np.float32)
@@ -89,6 +89,7 @@ def material_points(
         rounds = _rounds(xs, ys, zs)
         along_y = (np.float32(inverse[0, 1]), np.float32(inverse[1, 1]), np.float32(inverse[2, 1]))
         along_z = (np.float32(inverse[0, 2]), np.float32(inverse[1, 2]), np.float32(inverse[2, 2]))
+        ai, aj, ak = active[cell, 0] + 0.5, active[cell, 1] + 0.5, active[cell, 2] + 0.5
         for i in range(first[0], last[0] + 1):
             for j0 in range(first[1], last[1] + 1, _TILE):
                 for k0 in range(first[2], last[2] + 1, _TILE):
@@ -133,9 +134,9 @@ def material_points(
                                 asked[doubtful] = count
                                 doubtful += 1
                             place[count] = voxel
-                            moved[count, 0] = (i + 0.5) / size - (active[cell, 0] + 0.5 + x) / cells
-                            moved[count, 1] = (j + 0.5) / size - (active[cell, 1] + 0.5 + y) / cells
-                            moved[count, 2] = (k + 0.5) / size - (active[cell, 2] + 0.5 + z) / cells
+                            moved[count, 0] = (i + 0.5) * voxel_edge - (ai + x) * cell_edge
+                            moved[count, 1] = (j + 0.5) * voxel_edge - (aj + y) * cell_edge
+                            moved[count, 2] = (k + 0.5) * voxel_edge - (ak + z) * cell_edge
                             count += 1
     return count, doubtful
 
@@ -255,19 +256,27 @@ def _solve(
 def _solve_slowly(
     corner: Three, along_y: Three, along_z: Three, xs: Row, ys: Row, zs: Row, local: Float32[np.ndarray, " 3*tile*tile"]
 ) -> None:
-    """As `_solve`, for cells in which each voxel has to be watched; NaN where it does not settle."""
+    """As `_solve`, for cells of which no bound says that they settle; NaN where a voxel does not."""
     most = np.float32(0.5 + _TOLERANCE)
     x_most, y_most, z_most = most + _widening(xs), most + _widening(ys), most + _widening(zs)
-    for lane in range(_TILE * _TILE):
-        j, k = np.float32(lane // _TILE), np.float32(lane % _TILE)
-        x = corner[0] + along_y[0] * j + along_z[0] * k
-        y = corner[1] + along_y[1] * j + along_z[1] * k
-        z = corner[2] + along_y[2] * j + along_z[2] * k
-        if abs(x) <= x_most and abs(y) <= y_most and abs(z) <= z_most:
-            x, y, z = _fixed_point(x, y, z, xs, ys, zs)
-        else:
-            x = np.float32(np.nan)
-        local[lane], local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE] = x, y, z
+    far, small = np.float32(_OUTSIDE), np.float32(0.5 * _TOLERANCE)
+    for step in range(_ITERATIONS):
+        for lane in range(_TILE * _TILE):
+            j, k = np.float32(lane // _TILE), np.float32(lane % _TILE)
+            u = corner[0] + along_y[0] * j + along_z[0] * k
+            v = corner[1] + along_y[1] * j + along_z[1] * k
+            w = corner[2] + along_y[2] * j + along_z[2] * k
+            x, y, z = u, v, w
+            if step > 0:
+                x, y, z = local[lane], local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE]
+            p, q, r = _improved(u, v, w, x, y, z, xs, ys, zs)
+            good = (abs(u) <= x_most) & (abs(v) <= y_most) & (abs(w) <= z_most)
+            if step == _ITERATIONS - 1:
+                good &= (abs(p - x) < small) & (abs(q - y) < small) & (abs(r - z) < small)
+            # one that runs away stays within reach, and is outside
+            p, q, r = min(max(p, -far), far), min(max(q, -far), far), min(max(r, -far), far)
+            local[lane] = p if good else np.float32(np.nan)
+            local[lane + _TILE * _TILE], local[lane + 2 * _TILE * _TILE] = q, r
 
 
 @compiled
@@ -288,18 +297,3 @@ def _improved(
         v - ys[0] * xy - ys[1] * yz - ys[2] * zx - ys[3] * xyz,
         w - zs[0] * xy - zs[1] * yz - zs[2] * zx - zs[3] * xyz,
     )
-
-
-@compiled
-def _fixed_point(u: np.float32, v: np.float32, w: np.float32, xs: Row, ys: Row, zs: Row) -> Three:
-    """Local coordinates that solve the trilinear map, from its affine solution; NaN where it does not converge."""
-    x, y, z = u, v, w
-    for _ in range(_ITERATIONS):
-        p, q, r = _improved(u, v, w, x, y, z, xs, ys, zs)
-        settled = abs(p - x) < 0.5 * _TOLERANCE and abs(q - y) < 0.5 * _TOLERANCE and abs(r - z) < 0.5 * _TOLERANCE
-        x = np.float32(min(max(p, -_OUTSIDE), _OUTSIDE))
-        y = np.float32(min(max(q, -_OUTSIDE), _OUTSIDE))
-        z = np.float32(min(max(r, -_OUTSIDE), _OUTSIDE))
-        if settled:
-            return x, y, z
-    return np.float32(np.nan), np.float32(np.nan), np.float32(np.nan)

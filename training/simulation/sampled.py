@@ -82,19 +82,20 @@ class SampledDistance:
         index = np.flatnonzero(wanted)
         place = np.stack(np.unravel_index(index, lattice.shape), axis=1).astype(np.float32) / np.float32(2 * n)
         lattice.ravel()[index] = distance(place)
-        values = lattice.ravel()[nodes]
-        doubt = np.abs(values - values @ _STRAIGHT).max(axis=1, initial=0.0) + np.float32(_ROUNDING)
+        # nodes first: what goes over the nodes of an octant then runs along many octants
+        values = lattice.ravel()[np.ascontiguousarray(nodes.T)]
+        doubt = np.abs(_BENT.T @ values).max(axis=0, initial=0.0) + np.float32(_ROUNDING)
         # where all corners lie on one side by enough, interpolation would give every point the same answer
-        corners = values[:, _CORNERS]
-        outside = corners.min(axis=1, initial=np.inf) > _SETTLED * doubt
-        inside = corners.max(axis=1, initial=-np.inf) < -_SETTLED * doubt
+        corners = values[_CORNERS]
+        outside = corners.min(axis=0, initial=np.inf) > _SETTLED * doubt
+        inside = corners.max(axis=0, initial=-np.inf) < -_SETTLED * doubt
         state[tuple(octants[outside].T)], state[tuple(octants[inside].T)] = OUTSIDE, INSIDE
         number = np.full(state.shape, -1, np.int32)
         number[tuple(octants.T)] = np.arange(len(octants), dtype=np.int32)
-        polynomial = values @ _TO_POLYNOMIAL
+        polynomial = values.T @ _TO_POLYNOMIAL
         plane = np.empty((len(octants), 5), np.float32)
         plane[:, :4] = polynomial[:, _PLANE]
-        plane[:, 4] = _BEYOND * (np.abs(polynomial).sum(axis=1) - np.abs(plane[:, :4]).sum(axis=1)) + doubt
+        plane[:, 4] = np.abs(polynomial) @ _ALL_BUT_THE_PLANE + doubt
         return cls(distance, cells, state, number, polynomial, doubt, plane)
 
     @classmethod
@@ -224,4 +225,7 @@ _TO_POLYNOMIAL = _cubed(np.array([[0.0, -0.5, 0.5], [1.0, 0.0, -1.0], [0.0, 0.5,
 _MONOMIALS_AT_SAMPLES = _cubed(((2.0 * np.arange(SUBSAMPLES) + 1.0) / SUBSAMPLES - 1.0)[None] ** np.arange(3)[:, None])
 _STRAIGHT = _cubed(np.array([[1.0, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 0.5, 1.0]]))
 """From an octant's 27 values to those of the trilinear function between its corners."""
+_BENT = (np.eye(27, dtype=np.float32) - _STRAIGHT)[:, (_cube(3) == 1).any(axis=1)]
+"""From its values to how far those off the corners are from that function."""
+_ALL_BUT_THE_PLANE = np.where(np.isin(np.arange(27), _PLANE), 0.0, _BEYOND).astype(np.float32)
 _CORNERS = np.flatnonzero((_cube(3) != 1).all(axis=1))

@@ -9,9 +9,9 @@ from service.core.compiled import compiled
 from training.simulation.elements import GAUSS_POINTS, Hexahedron
 from training.simulation.solution import Solution
 from training.simulation.solver import LinearSolver
-from training.simulation.trilinear import coefficients
+from training.simulation.trilinear import Eight, coefficients
 
-_PLACES: Float64[np.ndarray, "8 3"] = GAUSS_POINTS - 0.5
+_PLACES: Float64[np.ndarray, "axis=3 gauss=8"] = np.ascontiguousarray(GAUSS_POINTS.T - 0.5)
 """Gauss points from the middle of the cell, in its edges."""
 
 
@@ -103,36 +103,47 @@ def _trilinear_means(
     nodal: Float64[np.ndarray, "nodes 3"],
     cell_nodes: Int[np.ndarray, "m 8"],
     scale: float,
-    places: Float64[np.ndarray, "8 3"],
+    places: Float64[np.ndarray, "3 8"],
     weights: Float64[np.ndarray, "8 cells"],
     mu: float,
     small: bool,
     mean: Float64[np.ndarray, " cells"],
 ) -> None:
     """As `_means`, of trilinear displacements; `scale` is the number of cells along an edge of the cube."""
-    terms, f = np.empty((3, 8)), np.empty(9)
+    stress = np.empty(8)
     for cell in range(len(mean)):
-        for axis in range(3):
-            (
-                terms[axis, 0], terms[axis, 1], terms[axis, 2], terms[axis, 3],
-                terms[axis, 4], terms[axis, 5], terms[axis, 6], terms[axis, 7],
-            ) = coefficients(
-                nodal[cell_nodes[cell, 0], axis], nodal[cell_nodes[cell, 1], axis],
-                nodal[cell_nodes[cell, 2], axis], nodal[cell_nodes[cell, 3], axis],
-                nodal[cell_nodes[cell, 4], axis], nodal[cell_nodes[cell, 5], axis],
-                nodal[cell_nodes[cell, 6], axis], nodal[cell_nodes[cell, 7], axis],
+        p, q = _terms(nodal, cell_nodes, cell, 0), _terms(nodal, cell_nodes, cell, 1)
+        r = _terms(nodal, cell_nodes, cell, 2)
+        # all Gauss points, of material or not, without a question: four at a time
+        for gauss in range(8):
+            x, y, z = places[0, gauss], places[1, gauss], places[2, gauss]
+            stress[gauss] = _equivalent(
+                1.0 + scale * (p[1] + y * p[4] + z * p[6] + y * z * p[7]),
+                scale * (p[2] + x * p[4] + z * p[5] + x * z * p[7]),
+                scale * (p[3] + y * p[5] + x * p[6] + x * y * p[7]),
+                scale * (q[1] + y * q[4] + z * q[6] + y * z * q[7]),
+                1.0 + scale * (q[2] + x * q[4] + z * q[5] + x * z * q[7]),
+                scale * (q[3] + y * q[5] + x * q[6] + x * y * q[7]),
+                scale * (r[1] + y * r[4] + z * r[6] + y * z * r[7]),
+                scale * (r[2] + x * r[4] + z * r[5] + x * z * r[7]),
+                1.0 + scale * (r[3] + y * r[5] + x * r[6] + x * y * r[7]),
+                mu, small,
             )  # fmt: skip
         total, volume = 0.0, 0.0
         for gauss in range(8):
             weight = weights[gauss, cell]
-            if not weight > 0.0:
-                continue
-            x, y, z = places[gauss, 0], places[gauss, 1], places[gauss, 2]
-            for i in range(3):
-                f[3 * i] = scale * (terms[i, 1] + y * terms[i, 4] + z * terms[i, 6] + y * z * terms[i, 7])
-                f[3 * i + 1] = scale * (terms[i, 2] + x * terms[i, 4] + z * terms[i, 5] + x * z * terms[i, 7])
-                f[3 * i + 2] = scale * (terms[i, 3] + y * terms[i, 5] + x * terms[i, 6] + x * y * terms[i, 7])
-                f[4 * i] += 1.0
-            total += weight * _equivalent(f[0], f[1], f[2], f[3], f[4], f[5], f[6], f[7], f[8], mu, small)
-            volume += weight
+            if weight > 0.0:
+                total += weight * stress[gauss]
+                volume += weight
         mean[cell] = total / volume if volume > 0.0 else 0.0
+
+
+@compiled
+def _terms(nodal: Float64[np.ndarray, "nodes 3"], cell_nodes: Int[np.ndarray, "m 8"], cell: int, axis: int) -> Eight:
+    """Coefficients of the trilinear displacement of a cell along an axis."""
+    return coefficients(
+        nodal[cell_nodes[cell, 0], axis], nodal[cell_nodes[cell, 1], axis],
+        nodal[cell_nodes[cell, 2], axis], nodal[cell_nodes[cell, 3], axis],
+        nodal[cell_nodes[cell, 4], axis], nodal[cell_nodes[cell, 5], axis],
+        nodal[cell_nodes[cell, 6], axis], nodal[cell_nodes[cell, 7], axis],
+    )  # fmt: skip
