@@ -51,3 +51,9 @@ def test_a_look_sees_what_voxels_see(distance, contact):
     along, fine = RestOverlap.of(body).along(linear), Rasteriser(body)
     for factor in np.array([0.03, 0.1, 0.25]) / np.abs(linear).max():
         assert along.iou(factor) == pytest.approx(iou(fine.rest, fine.occupancy(factor * linear)), abs=0.03)
+
+
+def test_a_few_points_see_nearly_what_all_see(block):
+    body, overlap = block
+    along = overlap.along(np.tile([1.0, 0.0, 0.0], (body.nodes, 1)))
+    assert along.iou(0.05, every=4) == pytest.approx(along.iou(0.05), abs=0.02)

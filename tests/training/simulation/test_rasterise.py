@@ -92,3 +92,30 @@ def test_voxels_outside_the_grid_are_left_out():
     expected = np.zeros((64, 64, 64), bool)
     expected[:, :, 32:] = Rasteriser(body).rest[:, :, :32]
     assert iou(result.deformed, expected) > 0.999
+
+
+@pytest.mark.parametrize("cells", [2, 4, 8])
+def test_a_trilinear_motion_is_inverted_however_coarse_its_cells(cells):
+    """y = (x + 2.5 x z, y, z + 0.8 x y), det = 1 + 2.5 z − 2 x y: trilinear in cells, far from affine in large ones."""
+    body = Body.from_distance(box([0.22, 0.22, 0.26], [0.18, 0.18, 0.26]), cells)
+
+    def moved(place):
+        x, y, z = place.T
+        return np.stack([2.5 * x * z, 0.0 * y, 0.8 * x * y], axis=1)
+
+    result = rasterise(body, moved(body.node_positions))
+    places = (np.argwhere(result.deformed) + 0.5) / 64
+    rest = places - result.backward[:, result.deformed].T
+    np.testing.assert_allclose(rest + moved(rest), places, atol=4e-3 / cells)
+    # the mean of det over the box is its value at the box's centre
+    volume = 0.36 * 0.36 * 0.52 * (1.0 + 2.5 * 0.26 - 2.0 * 0.22**2)
+    assert result.deformed.sum() / 64**3 == pytest.approx(volume, rel=0.01)
+
+
+def test_every_deformed_voxel_is_listed_once():
+    """Also those that two cells share, or of which one is not sure."""
+    body = Body.from_distance(bridge(), 12)
+    bent = 0.2 * body.node_positions[:, [2, 0, 1]] ** 2
+    result = rasterise(body, bent)
+    np.testing.assert_array_equal(np.sort(result.deformed_at), np.flatnonzero(result.deformed))
+    assert len(result.moved_here) == len(result.deformed_at)

@@ -21,6 +21,7 @@ from training.simulation.shapes.primitives import (
     Sphere,
     Superquadric,
     Torus,
+    polygon_distance,
 )
 from training.simulation.shapes.shape import sample_points
 
@@ -138,6 +139,21 @@ def test_gauge_bodies_have_their_exact_surface(field: Ellipsoid | Superquadric) 
 def test_superquadric_refuses_exponents_that_would_make_it_concave() -> None:
     with pytest.raises(ValueError, match="concave"):
         Superquadric((1, 1, 1), 0.5, 2)
+
+
+def test_the_distance_to_a_polygon_is_that_to_its_nearest_edge() -> None:
+    """More points than a block around a notched polygon, against each edge in NumPy and the turns of its corners."""
+    corners = np.array([(-1.0, -1.0), (1.0, -0.8), (0.9, 1.0), (0.1, 0.2), (-0.9, 0.9)])
+    points = np.random.default_rng(0).uniform(-1.5, 1.5, (3000, 2)).astype(np.float32)
+    edges = np.roll(corners, -1, axis=0) - corners
+    out = points[:, None] - corners
+    share = np.clip((out * edges).sum(axis=2) / (edges**2).sum(axis=1), 0.0, 1.0)
+    expected = np.linalg.norm(out - share[:, :, None] * edges, axis=2).min(axis=1)
+    angle = np.arctan2(out[:, :, 1], out[:, :, 0])
+    turn = (np.roll(angle, -1, axis=1) - angle + np.pi) % (2 * np.pi) - np.pi
+    expected[np.abs(turn.sum(axis=1)) > 1.0] *= -1.0
+    found = polygon_distance(tuple(map(tuple, corners.tolist())), points[:, 0], points[:, 1])
+    np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
 def test_placements_fold_and_act_in_order() -> None:

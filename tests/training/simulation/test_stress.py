@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tests.training.simulation.bodies import ELEMENTS, column, whole_cube
+from training.simulation import stress as stress_module
 from training.simulation.body import Body
 from training.simulation.clamp import RigidClamp
 from training.simulation.loads import Load
@@ -74,3 +75,16 @@ def test_a_cell_has_the_mean_over_its_material():
     equivalent = 2.0 * lame(0.2)[0] * np.sqrt(1.5 * (deviator**2).sum(axis=(1, 2)))
     expected = (weights * equivalent).sum(axis=0) / np.maximum(weights.sum(axis=0), 1e-300)
     np.testing.assert_allclose(linear_von_mises(solver, moved), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("law", ["linear", "neo_hookean"])
+def test_stress_straight_from_the_nodes_is_that_of_the_gradients(law):
+    """Cells without internal parameters take another loop than those with: the same numbers."""
+    solver = LinearSolver(Body.from_distance(column(0.27, 0.71), 12), 0.2)
+    element, small = solver.element, law == "linear"
+    moved = 0.001 * np.random.default_rng(0).normal(size=(solver.body.nodes, 3))
+    expected = np.empty(element.cells)
+    gradient = element.deformation_gradient(solver.body.gather(moved))
+    stress_module._means(gradient, element.weights, element.mu, small, expected)
+    found = stress_module._cell_means(solver, moved, None if small else np.zeros((0, element.cells)))
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
