@@ -2,20 +2,27 @@
 
 The networks' sessions plan their memory in their first runs, kernels are loaded or, where this is the first start on
 this kind of processor, compiled. A robot that were the first to take a way through the pipeline would wait for it.
+
+    python -m service.warm_up      what `warm_up` runs beside itself where kernels are compiled: those of the solve
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
+from dataclasses import replace
 
 import cv2
 import numpy as np
 
-from service.core.arrays import GRID_SIZE
+from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.camera import make_intrinsics
 from service.core.compiled import on_compiling
+from service.core.condition import Condition
 from service.core.errors import PhysNetError
 from service.core.grids import pack_bits
 from service.core.materials import Material
@@ -27,9 +34,13 @@ from service.core.messages import (
     Load,
     Observation,
 )
+from service.core.motion import motion
+from service.core.prior import ElasticPrior
+from service.inference.deformation import Prior
 from service.inference.registry import Models
 from service.pipeline import Body, Pipeline
 from service.reconstructions import Reconstructions
+from service.settings import available_cores
 
 log = logging.getLogger(__name__)
 
@@ -39,6 +50,7 @@ TABLE_M, TOP_M, SIDE_M = 0.6, 0.5, 0.12
 
 RUBBER = Material(young_modulus_pa=1e5, poisson_ratio=0.4)
 DOWN = Load(force_n=np.array([0.0, 0.0, 5.0]), contact_m=np.array([0.0, 0.0, TOP_M]))
+PUSH: Condition = np.array([0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.4, 0.1], np.float32)
 AT_PIXEL = Load(force_n=np.array([1.0, 0.0, 5.0]), contact_px=(WIDTH / 2, HEIGHT / 2))
 
 
@@ -48,12 +60,17 @@ KEPT_BYTES, KEPT_S = 2**25, 600.0
 
 def warm_up(models: Models) -> None:
     """Ask one question of every kind; what networks in training answer is of no account."""
-    with on_compiling(_tell):
-        models.warm_up()
+    beside = _Beside()
+    with on_compiling(beside.begin):
         kept = Reconstructions[Body](KEPT_BYTES, KEPT_S)
         pipeline = Pipeline(models.reconstruction, models.deformation, kept=kept)
+        questions = list(_questions())
+        with contextlib.suppress(PhysNetError):
+            pipeline.predict(replace(questions[0], loads=()))
+        _deform_unsolved(models)
+        beside.wait()
         earlier = None
-        for request in _questions():
+        for request in questions:
             with contextlib.suppress(PhysNetError):
                 earlier = pipeline.predict(request).reconstruction_id or earlier
         if earlier is not None:
@@ -61,12 +78,40 @@ def warm_up(models: Models) -> None:
                 pipeline.predict(DeformRequest(EarlierReconstruction(earlier), RUBBER, (DOWN,)))
 
 
-def _tell() -> None:
-    # Nothing is wrong, but whoever waits should see it where logs are not set up, too.
-    log.warning(
-        "compiling for this processor: up to a minute, this once; later starts load what is kept in __pycache__, or "
-        "where NUMBA_CACHE_DIR says"
-    )
+class _Beside:
+    """Another process that compiles the coarse solve, half of it all, while this one compiles what needs no solve."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def begin(self) -> None:
+        """Called before the first kernel is compiled, if one is."""
+        # Nothing is wrong, but whoever waits should see it where logs are not set up, too.
+        log.warning(
+            "compiling for this processor: up to a minute, this once; later starts load what is kept in __pycache__, "
+            "or where NUMBA_CACHE_DIR says"
+        )
+        if available_cores() > 1:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", __name__], env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            )  # fmt: skip
+
+    def wait(self) -> None:
+        """What it did not do, for whatever reason, is compiled here."""
+        if self._process is not None:
+            self._process.wait()
+
+
+def _deform_unsolved(models: Models) -> None:
+    """The network's half of a deformation, for a body that the solve would not move."""
+    block, still = _block(), Prior(np.zeros((1, 3, 16, 16, 16), np.float32), np.zeros((1, 3, 32, 32, 32), np.float32))
+    answer = models.deformation(block, [PUSH], prior=still)
+    motion(answer.field[0], block, block, edge_m=0.2)
+
+
+def _solve() -> None:
+    ElasticPrior(_block(), RUBBER.poisson_ratio).displacements([PUSH])
 
 
 def _questions() -> Iterator[DeformRequest]:
@@ -83,8 +128,7 @@ def _questions() -> Iterator[DeformRequest]:
     yield DeformRequest(Observation(camera, as_floats, roi=region), RUBBER, (DOWN, AT_PIXEL))
     masked = Observation(camera, as_png, EncodedImage("png8", _png(mask)), up=np.array([0.0, 0.0, -1.0]))
     yield DeformRequest(masked, RUBBER, (DOWN,), uncertainty_samples=2)
-    block = np.zeros((GRID_SIZE,) * 3, bool)
-    block[14:50, 14:50, :36] = True
+    block = _block()
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = (-0.1, 0.1, TABLE_M)
     # One is answered in its own grid; the other stands askew in its own and is looked up in another.
@@ -92,6 +136,16 @@ def _questions() -> Iterator[DeformRequest]:
         yield DeformRequest(KnownShape(pack_bits(block).tobytes(), side_m / GRID_SIZE, pose, up), RUBBER, (DOWN,))
 
 
+def _block() -> Occupancy:
+    block = np.zeros((GRID_SIZE,) * 3, bool)
+    block[14:50, 14:50, :36] = True
+    return block
+
+
 def _png(image: np.ndarray) -> bytes:
     _, file = cv2.imencode(".png", image)
     return file.tobytes()
+
+
+if __name__ == "__main__":
+    _solve()

@@ -1,17 +1,12 @@
-"""The models a service runs: found by their manifests, checked, opened, warmed up."""
+"""The models a service runs: found by their manifests, checked, opened."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
-from service.core.arrays import GRID_SIZE
 from service.core.errors import ModelMismatch
-from service.core.grids import Grid
 from service.core.manifest import Manifest
-from service.core.voxels import VoxelView
 from service.inference.artefacts import read_manifest
 from service.inference.deformation import DeformationModel
 from service.inference.graph import Graph
@@ -30,17 +25,6 @@ class Models:
     @property
     def manifests(self) -> tuple[Manifest, ...]:
         return self.reconstruction.manifest, self.deformation.manifest
-
-    def warm_up(self) -> None:
-        """Run each graph twice: the first run of a session plans its memory."""
-        nothing = np.zeros((GRID_SIZE,) * 3, bool)
-        view = VoxelView(grid=Grid(pitch_m=1.0, camera_from_grid=np.eye(4)), observed=nothing, free=nothing)
-        push = np.array([0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.3, 0.1], np.float32)
-        block = nothing.copy()
-        block[16:48, 16:48, :32] = True
-        for _ in range(2):
-            self.reconstruction(view)
-            self.deformation(block, [push])
 
 
 def load_models(directory: Path, threads: int) -> Models:

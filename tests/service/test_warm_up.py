@@ -9,8 +9,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 from numba.core.dispatcher import Dispatcher
 
+import service.warm_up as warm_up_module
 from service.core.camera import make_intrinsics
 from service.core.grids import pack_bits
 from service.core.materials import Material
@@ -88,6 +90,36 @@ def test_after_the_warm_up_no_question_compiles_or_loads_a_kernel() -> None:
     known, *late = done.stdout.split()
     assert int(known) >= 10
     assert late == []
+
+
+def test_another_process_compiles_the_solve_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[list[str]] = []
+
+    class Process:
+        def __init__(self, command: list[str], **_: object) -> None:
+            begun.append(command)
+
+        def wait(self) -> int:
+            begun.append(["waited"])
+            return 0
+
+    monkeypatch.setattr(warm_up_module.subprocess, "Popen", Process)
+    for cores, expected in ((2, [[sys.executable, "-m", "service.warm_up"], ["waited"]]), (1, [])):
+        begun.clear()
+        monkeypatch.setattr(warm_up_module, "available_cores", lambda cores=cores: cores)
+        beside = warm_up_module._Beside()
+        beside.wait()  # nothing was compiled yet: there is nothing to wait for
+        assert begun == []
+        beside.begin()
+        beside.wait()
+        assert begun == expected
+
+
+def test_what_runs_beside_needs_no_models() -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-m", "service.warm_up"], cwd=ROOT, capture_output=True, text=True, timeout=170
+    )
+    assert done.returncode == 0, done.stderr
 
 
 if __name__ == "__main__":

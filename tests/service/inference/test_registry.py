@@ -2,13 +2,10 @@ import json
 import shutil
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from service.core.errors import ModelMismatch
-from service.core.grids import Grid
-from service.core.voxels import VoxelView
-from service.inference.registry import Models, load_models
+from service.inference.registry import load_models
 
 
 def install(source: Path, models: Path, name: str, version: str) -> None:
@@ -74,12 +71,3 @@ def test_a_model_in_a_folder_of_another_name_or_version_is_refused(directory: Pa
     (directory / "deformation" / "0.9.0").rename(directory / "deformation" / "0.9.1")
     with pytest.raises(ModelMismatch, match=r"0\.9\.1 holds deformation 0\.9\.0"):
         load_models(directory, threads=1)
-
-
-def test_warming_up_runs_both_graphs_and_changes_no_answer(models: Models) -> None:
-    observed = np.zeros((64, 64, 64), bool)
-    observed[20, 20:40, 0:30] = True
-    view = VoxelView(Grid(0.01, np.eye(4)), observed, np.zeros_like(observed))
-    before = models.reconstruction(view)
-    models.warm_up()
-    np.testing.assert_array_equal(models.reconstruction(view), before)
