@@ -144,10 +144,11 @@ def deform_response(result: DeformResult, outputs: frozenset[str], request_id: s
             voxel_size_m=result.grid.pitch_m,
             camera_from_grid=result.grid.camera_from_grid.ravel().tolist(),
         ),
-        loads=[_load_result(load, outputs) for load in result.loads],
         flags=sorted(result.flags),
         reconstruction_id=result.reconstruction_id,
     )
+    for load in result.loads:
+        _tell_load(response.loads.add(), load, outputs)
     if "scene" in outputs:
         response.scene = scene_glb(result)
     if "reconstruction" in outputs:
@@ -159,20 +160,18 @@ def deform_response(result: DeformResult, outputs: frozenset[str], request_id: s
     return response
 
 
-def _load_result(load: LoadResult, outputs: frozenset[str]) -> pb.LoadResult:
-    answer = pb.LoadResult(
-        max_displacement_m=load.max_displacement_m,
-        mean_displacement_m=load.mean_displacement_m,
-        load_number=load.load_number,
-        flags=sorted(load.flags),
-    )
+def _tell_load(answer: pb.LoadResult, load: LoadResult, outputs: frozenset[str]) -> None:
+    """Fill an answer in where it stands: a message that is put into another is copied, megabytes and all."""
+    answer.max_displacement_m = load.max_displacement_m
+    answer.mean_displacement_m = load.mean_displacement_m
+    answer.load_number = load.load_number
+    answer.flags.extend(sorted(load.flags))
     if "deformed" in outputs:
         answer.deformed.bits = _bytes(pack_bits(load.deformed))
     if "probability" in outputs:
         answer.probability.levels = _bytes(levels(load.probability))
     if "displacement" in outputs:
         answer.displacement.float16_m = _bytes(half_precision(load))
-    return answer
 
 
 def _bytes(array: np.ndarray) -> bytes:

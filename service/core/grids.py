@@ -94,4 +94,4 @@ def pack_bits(occupancy: Occupancy) -> PackedOccupancy:
 
 def unpack_bits(packed: PackedOccupancy) -> Occupancy:
     """Inverse of `pack_bits`."""
-    return np.unpackbits(packed, bitorder="little").reshape((GRID_SIZE,) * 3).astype(bool)
+    return np.unpackbits(packed, bitorder="little").reshape((GRID_SIZE,) * 3).view(np.bool_)

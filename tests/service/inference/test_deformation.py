@@ -3,7 +3,7 @@ import pytest
 
 from service.core.condition import CONDITION_FIELDS
 from service.core.displacement import body_box, corrected
-from service.core.lookup import warp
+from service.core.lookup import Warp, warp
 from service.core.motion import motion
 from service.core.prior import ElasticPrior
 from service.inference.registry import Models
@@ -93,6 +93,23 @@ def test_a_body_asked_about_again_is_not_factorised_again(models: Models, monkey
     models.deformation.prior(body, [softer])
     models.deformation.prior(other, [softer])
     assert len(made) == 3
+
+
+def test_a_body_asked_about_again_is_prepared_once(models: Models, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = []
+
+    class Counted(Warp):
+        def __init__(self, rest: np.ndarray, smooth: np.ndarray | None = None) -> None:
+            made.append(smooth)
+            super().__init__(rest, smooth)
+
+    monkeypatch.setattr("service.inference.deformation.Warp", Counted)
+    body, smooth = BODY.copy(), 0.9 * BODY.astype(np.float32)
+    first, again = (models.deformation(body, [push()]) for _ in range(2))
+    np.testing.assert_array_equal(first.probability, again.probability)
+    assert made == [None]
+    models.deformation(body, [push()], smooth=smooth)
+    assert len(made) == 2
 
 
 def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
