@@ -31,11 +31,11 @@ from service.pipeline import Pipeline
 from service.settings import Settings
 from training.data.batches import split_of
 from training.data.generate import Dropped
-from training.data.pushed_views import PushedViewsConfig, PushedViewSet, frames, moved_condition
+from training.data.pushed_views import PushedViewsConfig, frames, moved_condition
 from training.data.store import Store
 from training.data.views import Frame
 from training.evaluate import MOVED
-from training.experiments.direct import REALTIME, trained, validate
+from training.experiments.direct import REALTIME, trained
 from training.metrics import iou, skill
 from training.networks.direct import DirectNetwork
 
@@ -205,15 +205,14 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, help="folder of the report; that of --direct")
     options = parser.parse_args(arguments)
     torch.set_num_threads(1)
-    network = trained(options.direct / "run", REALTIME)
-    tuned = validate(network, PushedViewSet.load(options.direct / "views", "validation"), 200)
+    network, threshold = trained(options.direct / "run", REALTIME)
     models = load_models(options.models, 1)
     rivals = Rivals(
         Pipeline(models.reconstruction, models.deformation), models.deformation.manifest.threshold,
-        network, tuned["threshold"],
+        network, threshold,
     )  # fmt: skip
     found = judge(PushedViewsConfig(str(options.bodies)), rivals, options.most)
-    figures = summary(found) | {"direct_threshold": tuned["threshold"]}
+    figures = summary(found) | {"direct_threshold": threshold}
     out = options.out or options.direct
     out.mkdir(parents=True, exist_ok=True)
     (out / "cascade.json").write_text(json.dumps(found | {"summary": figures}, indent=1) + "\n")

@@ -9,6 +9,7 @@ Both go on from where they stopped.
 from __future__ import annotations
 
 import argparse
+import csv
 import functools
 import sys
 from dataclasses import asdict, dataclass, field, replace
@@ -112,11 +113,13 @@ def validate(network: DirectNetwork, samples: PushedViewSet, count: int) -> dict
     }  # fmt: skip
 
 
-def trained(run_folder: Path, config: FitDirectConfig) -> DirectNetwork:
-    """The network of a run of this configuration, ready to answer."""
+def trained(run_folder: Path, config: FitDirectConfig) -> tuple[DirectNetwork, float]:
+    """The network of a run of this configuration, ready to answer, and its threshold at the last validation."""
     network = DirectNetwork(config.network)
     network.load_state_dict(torch.load(run_folder / "checkpoint.pt", weights_only=True)["network"])
-    return network.eval()
+    with (run_folder / "log.csv").open(newline="") as file:
+        *_, last = csv.DictReader(file)
+    return network.eval(), float(last["threshold"])
 
 
 def main(arguments: list[str] | None = None, base: FitDirectConfig = REALTIME) -> int:

@@ -36,7 +36,7 @@ def views(bodies: PushedViewsConfig, tmp_path_factory: pytest.TempPathFactory) -
 def test_a_run_goes_on_and_tells_whose_weights_it_began_with(views: Path, tmp_path: Path) -> None:
     begin_from = tiny.save_checkpoint(tiny.reconstruction_network(), tiny.FIT_RECONSTRUCTION, tmp_path / "shape")
     fit_direct(views, Run(tmp_path / "run"), CONFIG, begin_from)
-    found = trained(tmp_path / "run", CONFIG)
+    found, threshold = trained(tmp_path / "run", CONFIG)
     fresh = DirectNetwork(CONFIG.network).state_dict()
     assert not torch.equal(found.state_dict()["shape.seen.weight"], fresh["shape.seen.weight"])
     state = torch.load(tmp_path / "run" / "checkpoint.pt", weights_only=True)
@@ -46,6 +46,7 @@ def test_a_run_goes_on_and_tells_whose_weights_it_began_with(views: Path, tmp_pa
         fit_direct(views, Run(tmp_path / "run"), dataclasses.replace(CONFIG, steps=5), begin_from)
     figures = validate(found, PushedViewSet.load(views, "validation"), 2)
     assert 0.0 <= figures["iou"] <= 1.0
+    assert figures["threshold"] == threshold
     assert 0.5 < figures["nothing_moves"] < 0.95
 
 
