@@ -14,7 +14,6 @@ from service.core.prior_assembly import rest_factor, solve_at_rest
 from service.core.prior_cells import (
     Cells,
     Corners,
-    Nodal,
     add_bed,
     at_corners,
     at_nodes,
@@ -22,9 +21,9 @@ from service.core.prior_cells import (
     gradients,
     mean_at_nodes,
 )
+from service.core.prior_factor import BandFactor
 from service.core.prior_grid import CellGrid
 from service.core.prior_rotation import (
-    Matrices,
     add_identity,
     exponentials,
     polar_rotations,
@@ -88,12 +87,8 @@ class CorotationalSolver:
 
     def correction(self, u: Loads, force: Loads) -> Loads:
         """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
-        left, result = np.empty_like(u), np.empty_like(u)
-        frames = np.empty((len(u), 3, 3, u.shape[2]), np.float32)
-        _left_over(self.cells, u, force, left, frames)
-        solve_at_rest(self.factor, left, left)
-        for turn_node, one, turned in zip(frames, left, result, strict=True):
-            turn(turn_node, one, turned)
+        result = np.empty_like(u)
+        _correct(self.cells, self.factor, u, force, result)
         return result
 
 
@@ -137,12 +132,26 @@ def _unroll(cells: Cells, displacement: Loads, result: Loads) -> None:
 
 
 @compiled
-def _left_over(cells: Cells, u: Loads, force: Loads, left: Loads, frames: Float32[np.ndarray, "loads 3 3 n"]) -> None:
-    """Write the forces that the deformed cells leave over, in the frames of the nodes, and these."""
-    rotation = np.empty((3, 3, cells.nodes.shape[1]), np.float32)
-    missing = np.empty_like(u[0])
+def _correct(cells: Cells, factor: BandFactor, u: Loads, force: Loads, result: Loads) -> None:
+    """See `CorotationalSolver.correction`."""
+    k = cells.nodes.shape[1]
+    corners, local = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
+    rotation, frames = np.empty((3, 3, k), np.float32), np.empty((len(u), 3, 3, u.shape[2]), np.float32)
+    missing, left = np.empty_like(u[0]), np.empty_like(u)
     for load in range(len(u)):
-        _internal_force(cells, u[load], missing, rotation)
+        at_corners(cells, u[load], corners)
+        gradients(cells, corners, rotation)
+        _add_rest(cells, np.float32(1.0), corners)
+        add_identity(rotation)
+        polar_rotations(rotation)
+        for a in range(len(corners)):
+            turn_back(rotation, corners[a], local[a])
+        _add_rest(cells, np.float32(-1.0), local)
+        cell_forces(cells, local, corners)
+        for a in range(len(corners)):
+            turn(rotation, corners[a], local[a])
+        at_nodes(cells, local, missing)
+        add_bed(cells, u[load], missing)
         for i in range(len(missing)):
             row, applied = missing[i], force[load, i]
             for v in range(len(row)):
@@ -150,26 +159,9 @@ def _left_over(cells: Cells, u: Loads, force: Loads, left: Loads, frames: Float3
         mean_at_nodes(cells, rotation, frames[load])
         polar_rotations(frames[load])
         turn_back(frames[load], missing, left[load])
-
-
-@compiled
-def _internal_force(cells: Cells, u: Nodal, force: Nodal, rotation: Matrices) -> None:
-    """Forces of the deformed cells and of the bed on the nodes, and the rotations of the cells."""
-    k = cells.nodes.shape[1]
-    corners, local = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
-    at_corners(cells, u, corners)
-    gradients(cells, corners, rotation)
-    _add_rest(cells, np.float32(1.0), corners)
-    add_identity(rotation)
-    polar_rotations(rotation)
-    for a in range(len(corners)):
-        turn_back(rotation, corners[a], local[a])
-    _add_rest(cells, np.float32(-1.0), local)
-    cell_forces(cells, local, corners)
-    for a in range(len(corners)):
-        turn(rotation, corners[a], local[a])
-    at_nodes(cells, local, force)
-    add_bed(cells, u, force)
+    solve_at_rest(factor, left, left)
+    for load in range(len(u)):
+        turn(frames[load], left[load], result[load])
 
 
 @compiled
