@@ -37,6 +37,7 @@ say = @printf '\n\033[1m==> %s\033[0m\n' "$(1)"
 demo: $(BASE)/.installed-demo ## Start the service, post real depth frames, print the answers, write build/demo/*.png
 	$(call say,demo: one push on each sample frame)
 	"$(BASE_PYTHON)" examples/demo.py --out build/demo
+	@printf '\npush them yourself: make serve, then http://127.0.0.1:8000 in a browser\n'
 
 serve: $(BASE)/.installed-demo ## Run the service on 127.0.0.1:8000; SERVE_FLAGS="--http-port 9000"
 	"$(BASE_PYTHON)" -m service serve $(SERVE_FLAGS)
