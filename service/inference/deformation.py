@@ -68,15 +68,15 @@ class DeformationModel:
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
-        n = len(conditions)
-        if len({float(condition[POISSON_RATIO]) for condition in conditions}) == 1:  # as a rule: there is one material
-            answer = self._solver(rest, float(conditions[0][POISSON_RATIO])).displacements(conditions)
+        ratios = [float(condition[POISSON_RATIO]) for condition in conditions]
+        if len(set(ratios)) == 1:  # as from a robot, whose request names one material
+            answer = self._solver(rest, ratios[0]).displacements(conditions)
             return Prior(answer.forward, answer.backward)
-        forward, backward = np.zeros((n, 3, 16, 16, 16), np.float32), np.zeros((n, 3, 32, 32, 32), np.float32)
-        ratios = np.array([condition[POISSON_RATIO] for condition in conditions])
-        for ratio in np.unique(ratios):
-            rows = np.flatnonzero(ratios == ratio)
-            answer = self._solver(rest, float(ratio)).displacements([conditions[row] for row in rows.tolist()])
+        n = len(conditions)
+        forward, backward = np.empty((n, 3, 16, 16, 16), np.float32), np.empty((n, 3, 32, 32, 32), np.float32)
+        for ratio in set(ratios):
+            rows = [row for row, one in enumerate(ratios) if one == ratio]
+            answer = self._solver(rest, ratio).displacements([conditions[row] for row in rows])
             forward[rows], backward[rows] = answer.forward, answer.backward
         return Prior(forward, backward)
 
