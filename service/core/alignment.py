@@ -6,7 +6,7 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int32, Int64, UInt8, UInt64
+from jaxtyping import Float32, Int32, Int64, UInt8, UInt64
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.compiled import compiled
@@ -98,7 +98,8 @@ def _moments(occupancy: Occupancy) -> tuple[Columns, Vector3, Matrix3]:
     """
     filled = np.ascontiguousarray(occupancy)
     columns = np.zeros((GRID_SIZE, GRID_SIZE, 6), np.int32)
-    count, first, second = _sums(filled.view(np.uint8), filled.view(np.uint64), columns)
+    first, second = np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
+    count = _sums(filled.view(np.uint8), filled.view(np.uint64), columns, first, second)
     if count == 0:
         raise EmptyObject("The reconstruction is empty: no voxel of the object is left to align.", field="depth")
     # In integers: rounding must not choose the axes of a body that is as wide as it is deep.
@@ -117,7 +118,8 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
 def _enclosing_grid(columns: Columns, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
     """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
     source_from_body = np.array([x, cross(z, x), z]).T
-    low, high, third_moment = _extent(columns, source_from_body.T.copy(), float(x @ (mean + 0.5)))
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    third_moment = _extent(columns, source_from_body.T.copy(), float(x @ (mean + 0.5)), low, high)
     if third_moment < 0.0:
         source_from_body[:, :2] *= -1.0
         low[:2], high[:2] = -high[:2], -low[:2]
@@ -138,10 +140,10 @@ _ZERO, _ONE, _NEXT, _NONE = np.float32(0.0), np.float32(1.0), np.uintp(1), np.in
 
 @compiled
 def _sums(
-    occupancy: Bytes, eights: Eights, columns: Columns
-) -> tuple[int, Int64[np.ndarray, "3"], Int64[np.ndarray, "3 3"]]:
-    """Number of the filled voxels, sum of their indices i, and of the products i iᵀ; and the sums of each column."""
-    count, first, second = 0, np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
+    occupancy: Bytes, eights: Eights, columns: Columns, first: Int64[np.ndarray, "3"], second: Int64[np.ndarray, "3 3"]
+) -> int:
+    """Number of the filled voxels; adds up the sums of each column, the indices i of all and their products i iᵀ."""
+    count = 0
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
             filled = np.uint64(0)
@@ -171,15 +173,15 @@ def _sums(
             second[1, 2] += along * y
             second[2, 2] += squared
     second[1, 0], second[2, 0], second[2, 1] = second[0, 1], second[0, 2], second[1, 2]
-    return count, first, second
+    return count
 
 
 @compiled
-def _extent(
-    columns: Columns, axes: Matrix3, middle: float
-) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"], float]:
-    """Lowest and highest centre along each axis, and the third moment about the middle along the first; in voxels."""
-    low, high, third_moment = np.full(3, np.inf), np.full(3, -np.inf), 0.0
+def _extent(columns: Columns, axes: Matrix3, middle: float, low: Vector3, high: Vector3) -> float:
+    """Lowest and highest centre along each axis, and returned the third moment about the middle along the first, in
+    voxels.
+    """
+    third_moment = 0.0
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
             n, along, squared, cubed = columns[x, y, 0], columns[x, y, 1], columns[x, y, 2], columns[x, y, 3]
@@ -195,7 +197,7 @@ def _extent(
                 start = axes[axis, 0] * (x + 0.5) + axes[axis, 1] * (y + 0.5)
                 bottom, top = start + axes[axis, 2] * (lowest + 0.5), start + axes[axis, 2] * (highest + 0.5)
                 low[axis], high[axis] = min(low[axis], bottom, top), max(high[axis], bottom, top)
-    return low, high, third_moment
+    return third_moment
 
 
 @compiled
@@ -223,9 +225,12 @@ def _resample_upright(source: Probability, steps: Matrix3, origin: Vector3, resu
 
     Above a body there are zeros, so each column is followed only as far up as one of the four around it is.
     """
-    column = np.zeros(GRID_SIZE + 2, np.float32)  # a zero below the lowest voxel, and one above the highest
-    below, weight = np.zeros(GRID_SIZE, np.uintp), np.zeros(GRID_SIZE, np.float32)
-    ends = np.zeros(GRID_SIZE + 1, np.int64)  # where a column of the result ends if the source's does after so many
+    column = np.empty(GRID_SIZE + 2, np.float32)  # a zero below the lowest voxel, and one above the highest
+    below, weight = np.empty(GRID_SIZE, np.uintp), np.empty(GRID_SIZE, np.float32)
+    ends = np.empty(GRID_SIZE + 1, np.uintp)  # where a column of the result ends if the source's does after so many
+    column[0], ends[GRID_SIZE] = _ZERO, 0
+    for k in range(GRID_SIZE):
+        below[k], weight[k], ends[k] = 0, _ZERO, 0
     for k in range(GRID_SIZE):
         z = origin[2] + steps[2, 2] * k + 1.0
         if 0.0 < z < GRID_SIZE + 1:

@@ -37,7 +37,9 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
     Source: Portable Network Graphics (PNG) Specification, second edition, 9.2 and 9.4.
     """
     width = counts.shape[1]
-    nothing_above = np.zeros(width, np.uint16)
+    nothing_above = np.empty(width, np.uint16)
+    for column in range(width):
+        nothing_above[column] = 0
     for row in range(len(counts)):
         filtered, line = rows[row], counts[row]
         above = counts[row - 1] if row > 0 else nothing_above

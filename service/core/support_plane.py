@@ -153,7 +153,7 @@ def _hypotheses(
 ) -> tuple[Float32[np.ndarray, "axis=3 k"], Float32[np.ndarray, " k"]]:
     """Planes through triples of points drawn by weight, with the camera above them; level ones too if `up` is known."""
     drawn = np.empty((3, HYPOTHESES), np.int64)
-    _draw(weights, _draws(), drawn)
+    _draw(np.cumsum(weights, dtype=np.float64), _draws(), drawn)
     planes = np.empty((4, HYPOTHESES))
     planes = planes[:, : _planes_through(points, drawn, planes)]
     if up is not None:
@@ -167,17 +167,14 @@ def _hypotheses(
 
 @compiled
 def _draw(
-    weights: Float32[np.ndarray, " n"], draws: Float64[np.ndarray, "corner=3 k"], drawn: Int64[np.ndarray, "corner=3 k"]
+    cumulative: Float64[np.ndarray, " n"],
+    draws: Float64[np.ndarray, "corner=3 k"],
+    drawn: Int64[np.ndarray, "corner=3 k"],
 ) -> None:
     """The point that each draw, a share of the weight of all, falls on."""
-    cumulative = np.empty(len(weights), np.float64)
-    total = 0.0
-    for point in range(len(weights)):
-        total += weights[point]
-        cumulative[point] = total
     for corner in range(3):
         for draw in range(draws.shape[1]):
-            wanted, first, last = draws[corner, draw] * total, 0, len(weights) - 1
+            wanted, first, last = draws[corner, draw] * cumulative[-1], 0, len(cumulative) - 1
             while first < last:
                 middle = (first + last) // 2
                 if cumulative[middle] < wanted:

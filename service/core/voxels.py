@@ -152,7 +152,7 @@ def _mark(points: Points, t: Float32[np.ndarray, "4 4"], pitch_m: np.float32, oc
     size, nothing, per_m = np.float32(GRID_SIZE), np.float32(0.0), np.float32(1.0) / pitch_m
     across, voxel, voxels = np.empty((3, _BLOCK), np.float32), np.empty(_BLOCK, np.int32), occupied.ravel()
     for first in range(0, len(points), _BLOCK):
-        count = min(_BLOCK, len(points) - first)
+        count = _BLOCK if first + _BLOCK <= len(points) else len(points) - first
         for point in range(count):
             for axis in range(3):
                 across[axis, point] = points[first + point, axis]
