@@ -58,8 +58,8 @@ class Cells(NamedTuple):
         """
         m, n = len(grid.cells), len(grid.nodes)
         k = m // _BLOCK * _BLOCK + _BLOCK
-        nodes, around, share = np.zeros((8, k), np.int64), np.empty((8, n), np.int64), np.empty((8, n), np.float32)
-        _list_cells(grid.cell_nodes, grid.fill, nodes, around, share)
+        nodes, around, share = np.zeros((8, k), np.int64), np.full((8, n), m), np.zeros((8, n), np.float32)
+        _list_cells(grid.cell_nodes, np.maximum(grid.fill, np.float32(1e-3)), nodes, around, share)
         return cls(
             own=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
             rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share,
@@ -72,13 +72,11 @@ def _list_cells(
     cell_nodes: Int[np.ndarray, "m 8"], fill: Float32[np.ndarray, " m"], nodes: Int[np.ndarray, "8 k"],
     around: Int[np.ndarray, "8 n"], share: Float32[np.ndarray, "8 n"],
 ) -> None:  # fmt: skip
-    """Write the nodes of every cell, and of every node its cells and their shares."""
-    around[...] = len(cell_nodes)
-    share[...] = 0.0
+    """Write the nodes of every cell, and of every node its cells and their shares, which are 0 before."""
     for c in range(len(cell_nodes)):
         for a in range(8):
             v = cell_nodes[c, a]
-            nodes[a, c], around[a, v], share[a, v] = v, c, max(fill[c], np.float32(1e-3))
+            nodes[a, c], around[a, v], share[a, v] = v, c, fill[c]
     for v in range(around.shape[1]):
         total = np.float32(0.0)
         for a in range(8):

@@ -88,8 +88,9 @@ def _point_stiffness(moduli: Moduli, edges: Float32[np.ndarray, "3"], table: Flo
 
 @compiled
 def _stresses(moduli: Moduli, gradient: Rows, stress: Rows) -> None:
-    stress[...] = 0.0
     for m in range(len(moduli)):
+        for b in range(stress.shape[1]):
+            stress[m, b] = 0.0
         for n in range(len(moduli)):
             if moduli[m, n] != 0.0:
                 _add(moduli[m, n], gradient[n], stress[m])

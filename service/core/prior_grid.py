@@ -28,6 +28,9 @@ MIN_FILL = 0.01
 """Cells holding less material than this are left out."""
 
 
+Box = UInt8[np.ndarray, "x+2 y+2 z+2"]
+
+
 @dataclass(frozen=True, eq=False)
 class CellGrid:
     """Cells with material that stand on the floor of the body, and their nodes.
@@ -75,7 +78,7 @@ class CellGrid:
         shape = np.maximum(np.round(extent / width), 1).astype(int)
         nx, ny, nz = shape.tolist()
         weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
-        kept = np.zeros((nx, ny, nz), np.uint8)
+        kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
         count = _keep(weights, floor, MIN_FILL, kept)
         if count == 0:  # a body that touches the floor with a few voxels only
             count = _keep(weights, floor, 1e-6, kept)
@@ -177,53 +180,50 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 
 
 @compiled
-def _keep(weights: Weights, floor: FloorWeights, least_floor: float, kept: UInt8[np.ndarray, "x y z"]) -> int:
+def _keep(weights: Weights, floor: FloorWeights, least_floor: float, kept: Box) -> int:
     """Mark the cells with material that are connected to the lowest layer across faces, and count them.
 
     Nothing holds the others. In the lowest layer a cell counts that fills so much of its lower face, too.
+
+    Args:
+        weights: See `quadrature_weights`.
+        floor: See there.
+        least_floor: In areas of a cell.
+        kept: 1 for the cells kept; those outside the box, all around it, are 0.
     """
-    size_x, size_y, size_z = kept.shape
-    reached, solid, count = np.uint8(1), np.uint8(2), 0
+    reached, solid, count = 1, 2, 0
+    _, size_x, size_y, size_z = weights.shape
     for x in range(size_x):
         for y in range(size_y):
             for z in range(size_z):
                 fill = np.float32(0.0)
                 for q in range(len(weights)):
                     fill += weights[q, x, y, z]
-                kept[x, y, z] = solid if fill >= MIN_FILL else np.uint8(0)
+                kept[x + 1, y + 1, z + 1] = solid if fill >= MIN_FILL else 0
             fill = np.float32(0.0)
             for q in range(len(floor)):
                 fill += floor[q, x, y]
-            if fill >= least_floor or kept[x, y, 0]:
-                kept[x, y, 0] = reached
+            if fill >= least_floor or kept[x + 1, y + 1, 1]:
+                kept[x + 1, y + 1, 1] = reached
                 count += 1
-    grown = True
-    while grown:
-        grown = False
-        for x in range(size_x):
-            for y in range(size_y):
-                for z in range(size_z):
-                    if kept[x, y, z] == solid and (
-                        (x > 0 and kept[x - 1, y, z] == reached)
-                        or (x + 1 < size_x and kept[x + 1, y, z] == reached)
-                        or (y > 0 and kept[x, y - 1, z] == reached)
-                        or (y + 1 < size_y and kept[x, y + 1, z] == reached)
-                        or (z > 0 and kept[x, y, z - 1] == reached)
-                        or (z + 1 < size_z and kept[x, y, z + 1] == reached)
-                    ):
-                        kept[x, y, z] = reached
-                        count += 1
-                        grown = True
-    for x in range(size_x):
-        for y in range(size_y):
-            for z in range(size_z):
-                kept[x, y, z] &= reached
+    before = -1
+    while before != count:
+        before = count
+        for x in range(1, size_x + 1):
+            for y in range(1, size_y + 1):
+                for z in range(1, size_z + 1):
+                    if kept[x, y, z] == solid:
+                        near = kept[x - 1, y, z] | kept[x + 1, y, z] | kept[x, y - 1, z]
+                        near |= kept[x, y + 1, z] | kept[x, y, z - 1] | kept[x, y, z + 1]
+                        if near & reached:
+                            kept[x, y, z] = reached
+                            count += 1
     return count
 
 
 @compiled
 def _number(
-    kept: UInt8[np.ndarray, "x y z"], count: int, order: Int[np.ndarray, "3"], weights: Weights
+    kept: Box, count: int, order: Int[np.ndarray, "3"], weights: Weights
 ) -> tuple[
     Int[np.ndarray, "x y z"], Int[np.ndarray, "m 3"], Int[np.ndarray, "n 3"], Int[np.ndarray, "m 8"],
     Float32[np.ndarray, "27 m"],
@@ -233,22 +233,23 @@ def _number(
     Returns:
         The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights.
     """
-    size = kept.shape
-    cell_of_box = np.full(size, -1)
+    _, size_x, size_y, size_z = weights.shape
+    cell_of_box = np.empty((size_x, size_y, size_z), np.int64)
     cells, corners = np.empty((count, 3), np.int64), np.empty((count, 8), np.int64)
     own = np.empty((27, count), np.float32)
-    node_of_box = np.full((size[0] + 1, size[1] + 1, size[2] + 1), -1)
+    node_of_box = np.zeros((size_x + 1, size_y + 1, size_z + 1), np.int64)
     m = 0
-    for x in range(size[0]):
-        for y in range(size[1]):
-            for z in range(size[2]):
-                if kept[x, y, z]:
+    for x in range(size_x):
+        for y in range(size_y):
+            for z in range(size_z):
+                cell_of_box[x, y, z] = -1
+                if kept[x + 1, y + 1, z + 1] == 1:
                     cell_of_box[x, y, z] = m
                     cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
                     for q in range(len(own)):
                         own[q, m] = weights[q, x, y, z]
                     for a in range(8):
-                        node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 0
+                        node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 1
                     m += 1
     nodes = np.empty((node_of_box.size, 3), np.int64)
     at, n = np.empty(3, np.int64), 0
@@ -256,9 +257,9 @@ def _number(
         for j in range(node_of_box.shape[order[1]]):
             for k in range(node_of_box.shape[order[2]]):
                 at[order[0]], at[order[1]], at[order[2]] = i, j, k
-                if node_of_box[at[0], at[1], at[2]] == 0:
+                if node_of_box[at[0], at[1], at[2]]:
                     node_of_box[at[0], at[1], at[2]] = n
-                    nodes[n] = at
+                    nodes[n, 0], nodes[n, 1], nodes[n, 2] = at[0], at[1], at[2]
                     n += 1
     for c in range(count):
         for a in range(8):

@@ -58,55 +58,49 @@ def _integrate(
     Eight voxels at a time are looked at, and one by one only where they are not like the one below.
     """
     one, lowest, shift = np.uint64(1), first[2] // 8, np.uint64(8 * (first[2] % 8))
-    column, sole = np.empty(z.shape[1], np.float32), np.empty(y.shape[1], np.float32)
-    plane = np.empty((y.shape[1], z.shape[1]), np.float32)
-    total = np.zeros((x.shape[1], y.shape[1], z.shape[1]), np.float32)
-    total_sole = np.zeros((x.shape[1], y.shape[1]), np.float32)
+    size = z.shape[1]
+    column = np.empty(size + 1, np.float32)  # at the end what stands on the floor
+    plane = np.empty((y.shape[1], size + 1), np.float32)
+    total = np.zeros((x.shape[1], y.shape[1], size + 1), np.float32)
     for i in range(len(x) - 1):
         plane[...] = 0.0
-        sole[:] = 0.0
         for j in range(len(y) - 1):
             column[:] = 0.0
             empty, below = True, False
-            for w in range(words.shape[2]):
-                word = words[first[0] + i, first[1] + j, w]
-                if word == (_EIGHT if below else np.uint64(0)):
-                    continue
-                for k in range(8):
-                    filled = word & one == one
-                    if filled != below:  # a run of voxels begins, or has ended
-                        _add(np.float32(1.0) if below else np.float32(-1.0), z[8 * w + k - first[2]], column)
-                        empty, below = False, filled
-                    word >>= np.uint64(8)
-            if empty:
-                continue
-            if below:
-                _add(np.float32(1.0), z[len(z) - 1], column)
-            stands = words[first[0] + i, first[1] + j, lowest] >> shift & one == one
-            for q in range(len(plane)):
-                share = y[j + 1, q] - y[j, q]
-                if share != 0.0:  # a voxel is in one cell or in two
-                    _add(share, column, plane[q])
-                    sole[q] += share if stands else np.float32(0.0)
+            for w in range(9):  # above the last there is nothing
+                word = words[first[0] + i, first[1] + j, w] if w < 8 else np.uint64(0)
+                if word != (_EIGHT if below else np.uint64(0)):
+                    for k in range(8):
+                        filled = word & one == one
+                        if filled != below:  # a run of voxels begins, or has ended
+                            _add(np.float32(1.0) if below else np.float32(-1.0), z[8 * w + k - first[2]], column)
+                            empty, below = False, filled
+                        word >>= np.uint64(8)
+            if not empty:
+                column[size] = np.float32(words[first[0] + i, first[1] + j, lowest] >> shift & one)
+                for q in range(len(plane)):
+                    share = y[j + 1, q] - y[j, q]
+                    if share != 0.0:  # a voxel is in one cell or in two
+                        _add(share, column, plane[q])
         for p in range(len(total)):
             share = x[i + 1, p] - x[i, p]
             if share != 0.0:
                 for q in range(len(plane)):
                     _add(share, plane[q], total[p, q])
-                _add(share, sole, total_sole[p])
     for p in range(3):
         for q in range(3):
             for a in range(weights.shape[1]):
                 for b in range(weights.shape[2]):
-                    floor[3 * p + q, a, b] = total_sole[3 * a + p, 3 * b + q]
+                    line = total[3 * a + p, 3 * b + q]
+                    floor[3 * p + q, a, b] = line[size]
                     for r in range(3):
                         for c in range(weights.shape[3]):
-                            weights[9 * p + 3 * q + r, a, b, c] = total[3 * a + p, 3 * b + q, 3 * c + r]
+                            weights[9 * p + 3 * q + r, a, b, c] = line[3 * c + r]
 
 
 @compiled
-def _add(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " n"]) -> None:
-    for i in range(len(result)):
+def _add(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " more"]) -> None:
+    for i in range(len(values)):
         result[i] += share * values[i]
 
 
