@@ -44,6 +44,7 @@ def material_points(
     place: Int[np.ndarray, " 2*voxels"],
     moved: Float32[np.ndarray, "2*voxels 3"],
     asked: Int[np.ndarray, " voxels"],
+    material: Float32[np.ndarray, "voxels 3"],
 ) -> tuple[int, int]:
     """Find every voxel centre whose material point lies in the body, and how far that point has come.
 
@@ -67,6 +68,7 @@ def material_points(
             there once where one of them is sure of its material, and once more where another has a doubt.
         moved: Written: displacements of the material there, in units of L.
         asked: Written: rows of `place` that are `NEAR`, ascending.
+        material: Written: the material points of these, in units of L.
 
     Returns:
         How many rows of `place` and of `asked` are written.
@@ -132,6 +134,9 @@ def material_points(
                             deformed[voxel] = side
                             if side == NEAR:
                                 asked[doubtful] = count
+                                material[doubtful, 0] = (ai + x) * cell_edge
+                                material[doubtful, 1] = (aj + y) * cell_edge
+                                material[doubtful, 2] = (ak + z) * cell_edge
                                 doubtful += 1
                             place[count] = voxel
                             moved[count, 0] = (i + 0.5) * voxel_edge - (ai + x) * cell_edge

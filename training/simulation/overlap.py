@@ -11,7 +11,7 @@ from service.core.compiled import compiled
 from training.simulation.body import Body
 from training.simulation.elements import CORNERS
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance, interpolated, plain_side
-from training.simulation.trilinear import coefficients
+from training.simulation.trilinear import nodal_coefficients, value_at
 
 _SEED = 0
 """Of the places within the octants: the same for every body, so that a set does not depend on who draws it."""
@@ -100,31 +100,22 @@ def _follow(
     invariants: Float64[np.ndarray, "m 3"],
 ) -> None:
     """Write the displacement at every point, and the invariants of its gradient in the middle of every cell."""
-    terms, row = np.empty((3, 8)), 0
+    row = 0
     for m in range(len(cell_nodes)):
-        for axis in range(3):
-            (
-                terms[axis, 0], terms[axis, 1], terms[axis, 2], terms[axis, 3],
-                terms[axis, 4], terms[axis, 5], terms[axis, 6], terms[axis, 7],
-            ) = coefficients(
-                nodal[cell_nodes[m, 0], axis], nodal[cell_nodes[m, 1], axis],
-                nodal[cell_nodes[m, 2], axis], nodal[cell_nodes[m, 3], axis],
-                nodal[cell_nodes[m, 4], axis], nodal[cell_nodes[m, 5], axis],
-                nodal[cell_nodes[m, 6], axis], nodal[cell_nodes[m, 7], axis],
-            )  # fmt: skip
+        p = nodal_coefficients(nodal, cell_nodes, m, 0)
+        q = nodal_coefficients(nodal, cell_nodes, m, 1)
+        r = nodal_coefficients(nodal, cell_nodes, m, 2)
         # the linear terms are the gradient in the middle, in edges of a cell
-        a, b, c = cells * terms[0, 1], cells * terms[0, 2], cells * terms[0, 3]
-        d, e, f = cells * terms[1, 1], cells * terms[1, 2], cells * terms[1, 3]
-        g, h, k = cells * terms[2, 1], cells * terms[2, 2], cells * terms[2, 3]
+        a, b, c = cells * p[1], cells * p[2], cells * p[3]
+        d, e, f = cells * q[1], cells * q[2], cells * q[3]
+        g, h, k = cells * r[1], cells * r[2], cells * r[3]
         invariants[m, 0] = a + e + k
         invariants[m, 1] = (e * k - f * h) + (a * k - c * g) + (a * e - b * d)
         invariants[m, 2] = a * (e * k - f * h) - b * (d * k - f * g) + c * (d * h - e * g)
         while row < len(cell) and cell[row] == m:
             x, y, z = local[row, 0], local[row, 1], local[row, 2]
-            for axis in range(3):
-                value = terms[axis, 0] + x * terms[axis, 1] + y * terms[axis, 2] + z * terms[axis, 3]
-                value += x * y * terms[axis, 4] + y * z * terms[axis, 5] + z * x * terms[axis, 6]
-                moved[row, axis] = value + x * y * z * terms[axis, 7]
+            moved[row, 0], moved[row, 1] = value_at(p, x, y, z), value_at(q, x, y, z)
+            moved[row, 2] = value_at(r, x, y, z)
             row += 1
 
 

@@ -13,7 +13,7 @@ from service.core.compiled import compiled
 from training.simulation.body import Body
 from training.simulation.inverse_map import material_points
 from training.simulation.sampled import INSIDE, NEAR, OUTSIDE, SampledDistance
-from training.simulation.trilinear import coefficients
+from training.simulation.trilinear import nodal_coefficients, value_at
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,21 +79,25 @@ class Rasteriser:
         order = np.argsort(cell, kind="stable")[int((cell < 0).sum()) :]
         self._at_rest = index[order]
         self._rest_cell = cell[order]
-        self._rest_local = local[order]
+        self._rest_local = (local[order] - 0.5).astype(np.float32)
+        self._rest_cells, first = np.unique(self._rest_cell, return_index=True)
+        self._rest_first = np.append(first, len(order))
         self._octants = self._distance.octants_of(body.active)
         # taken once: a voxel is found at most twice, see `material_points`
         self._place = np.empty(2 * size**3, np.int64)
         self._moved = np.empty((2 * size**3, 3), np.float32)
         self._asked = np.empty(size**3, np.int64)
+        self._material = np.empty((size**3, 3), np.float32)
 
     def __call__(self, displacement: Float64[np.ndarray, "nodes 3"]) -> Rasterised:
         """Voxelise the body displaced at its nodes."""
         side, count, doubtful = self._sides(displacement, cautious=True)
-        asked = self._asked[:doubtful]
-        material = voxel_centres(self.size)[self._place[asked]] - self._moved[asked]
-        count = _decide(asked, self._distance(material) < 0, side, self._place, self._moved, count)
+        inside = self._distance(self._material[:doubtful]) < 0
+        count = _decide(self._asked[:doubtful], inside, side, self._place, self._moved, count)
         forward = np.empty((len(self._at_rest), 3), np.float32)
-        peak = _interpolate(displacement, self.body.cell_nodes, self._rest_cell, self._rest_local, forward)
+        peak = _interpolate(
+            displacement, self.body.cell_nodes, self._rest_cells, self._rest_first, self._rest_local, forward
+        )
         return Rasterised(
             deformed=side.view(bool).reshape((self.size,) * 3),
             deformed_at=self._place[:count].copy(),
@@ -119,7 +123,7 @@ class Rasteriser:
         count, doubtful = material_points(
             (body.node_positions + displacement) * self.size - 0.5, body.cell_nodes, body.active, body.cells,
             self._octants, sampled.polynomial, sampled.doubt, sampled.plane, cautious, self.size, side, self._place,
-            self._moved, self._asked,
+            self._moved, self._asked, self._material,
         )  # fmt: skip
         return side, count, doubtful
 
@@ -166,33 +170,20 @@ def _decide(
 def _interpolate(
     nodal: Float64[np.ndarray, "nodes 3"],
     cell_nodes: Int[np.ndarray, "m 8"],
-    cell: Int[np.ndarray, " n"],
-    local: Float64[np.ndarray, "n 3"],
+    cells: Int[np.ndarray, " groups"],
+    first: Int[np.ndarray, " groups+1"],
+    local: Float32[np.ndarray, "n 3"],
     field: Float32[np.ndarray, "n 3"],
 ) -> float:
-    """Write the trilinear nodal field at points given by cell and local coordinates; its largest length."""
-    terms = np.empty((3, 8))
-    largest, present = 0.0, -1
-    for row in range(len(cell)):
-        if cell[row] != present:
-            present = cell[row]
-            for axis in range(3):
-                (
-                    terms[axis, 0], terms[axis, 1], terms[axis, 2], terms[axis, 3],
-                    terms[axis, 4], terms[axis, 5], terms[axis, 6], terms[axis, 7],
-                ) = coefficients(
-                    nodal[cell_nodes[present, 0], axis], nodal[cell_nodes[present, 1], axis],
-                    nodal[cell_nodes[present, 2], axis], nodal[cell_nodes[present, 3], axis],
-                    nodal[cell_nodes[present, 4], axis], nodal[cell_nodes[present, 5], axis],
-                    nodal[cell_nodes[present, 6], axis], nodal[cell_nodes[present, 7], axis],
-                )  # fmt: skip
-        x, y, z = local[row, 0] - 0.5, local[row, 1] - 0.5, local[row, 2] - 0.5
-        square = 0.0
-        for axis in range(3):
-            value = terms[axis, 0] + x * terms[axis, 1] + y * terms[axis, 2] + z * terms[axis, 3]
-            value += x * y * terms[axis, 4] + y * z * terms[axis, 5] + z * x * terms[axis, 6]
-            value += x * y * z * terms[axis, 7]
-            field[row, axis] = value
-            square += value * value
-        largest = max(largest, square)
+    """Write the trilinear nodal field at points grouped by cell, given from its middle; returns its largest length."""
+    largest = 0.0
+    for group in range(len(cells)):
+        p = nodal_coefficients(nodal, cell_nodes, cells[group], 0)
+        q = nodal_coefficients(nodal, cell_nodes, cells[group], 1)
+        r = nodal_coefficients(nodal, cell_nodes, cells[group], 2)
+        for row in range(first[group], first[group + 1]):
+            x, y, z = local[row, 0], local[row, 1], local[row, 2]
+            u, v, w = value_at(p, x, y, z), value_at(q, x, y, z), value_at(r, x, y, z)
+            field[row, 0], field[row, 1], field[row, 2] = u, v, w
+            largest = max(largest, u * u + v * v + w * w)
     return float(np.sqrt(largest))

@@ -8,6 +8,7 @@ import numpy as np
 import scipy.sparse as sp
 from jaxtyping import Bool, Float64, Int
 
+from service.core.compiled import compiled
 from training.simulation.elements import CORNERS, PAIRS_24
 
 _WAYS = 14
@@ -21,12 +22,14 @@ class SparsityPattern:
     Attributes:
         indptr: Row starts.
         indices: Column of every stored entry, ascending in a row.
-        position: Entry of each of the 300 × m element entries; `len(indices)` for those of clamped nodes.
+        block: Number of the 3×3 block of each of the 36 pairs of corners of each cell; −1 where one is clamped.
+        start: Entry of column 0 in each row of each block, or where it would be in those on the diagonal.
     """
 
     indptr: Int[np.ndarray, " rows"]
     indices: Int[np.ndarray, " nonzeros"]
-    position: Int[np.ndarray, " entries"]
+    block: Int[np.ndarray, "36 m"]
+    start: Int[np.ndarray, "3 blocks"]
 
     @classmethod
     def of(cls, cell_nodes: Int[np.ndarray, "m 8"], clamped: Bool[np.ndarray, " nodes"]) -> SparsityPattern:
@@ -55,27 +58,20 @@ class SparsityPattern:
         first_block = np.cumsum(blocks_in_row) - blocks_in_row
         indptr = np.concatenate([[0], np.cumsum((3 * blocks_in_row[:, None] - np.arange(3)).ravel())])
         rank = np.arange(len(block_row)) - first_block[block_row]
-        # where column 0 of each of its rows is, or would be
         start = indptr[3 * block_row + np.arange(3)[:, None]] + 3 * rank - np.arange(3)[:, None]
         indices = np.empty(indptr[-1], np.int32)
         for i in range(3):
             for j in range(3):
                 kept = (rank > 0) | (j >= i)
                 indices[start[i, kept] + j] = 3 * block_column[kept] + j
-        pair_of = np.zeros((8, 8), np.int64)
-        pair_of[a, b] = np.arange(len(a))
-        row, column = PAIRS_24
-        pair = pair_of[row // 3, column // 3]
-        position = start[:, number_of_block[low, way]][row % 3, pair]
-        position += (column % 3)[:, None]
-        if held.any():
-            position[held[pair]] = len(indices)
-        return cls(indptr.astype(np.int32), indices, position.ravel())
+        block = np.where(held, -1, number_of_block[low, way])
+        return cls(indptr.astype(np.int32), indices, block, start)
 
     def assemble(self, element: Float64[np.ndarray, "300 m"]) -> Float64[np.ndarray, " nonzeros"]:
         """Values of the global matrix from the element matrices."""
-        count = len(self.indices)
-        return np.bincount(self.position, weights=element.ravel(), minlength=count + 1)[:count]
+        values = np.zeros(len(self.indices))
+        _add_elements(element, self.block, self.start, _ROWS, _COLUMNS, _PAIRS, values)
+        return values
 
     def spread(self, scalar: sp.csr_array, clamped: Bool[np.ndarray, " nodes"]) -> Float64[np.ndarray, " nonzeros"]:
         """Values of a matrix that couples nodes of one cell, each axis to itself by the same number.
@@ -93,3 +89,27 @@ class SparsityPattern:
             wanted = (3 * upper.row.astype(np.int64) + axis) * size + 3 * upper.col + axis
             values[np.searchsorted(keys, wanted)] += upper.data
         return values
+
+
+_ROWS, _COLUMNS = (index % 3 for index in PAIRS_24)
+"""Row and column of each of the 300 entries of an element matrix within the block of its corners."""
+_PAIRS = np.array([8 * a - a * (a + 1) // 2 + b for a, b in zip(*(index // 3 for index in PAIRS_24), strict=True)])
+"""And the number of that pair of corners."""
+
+
+@compiled
+def _add_elements(
+    element: Float64[np.ndarray, "300 m"],
+    block: Int[np.ndarray, "36 m"],
+    start: Int[np.ndarray, "3 blocks"],
+    rows: Int[np.ndarray, " 300"],
+    columns: Int[np.ndarray, " 300"],
+    pairs: Int[np.ndarray, " 300"],
+    values: Float64[np.ndarray, " nonzeros"],
+) -> None:
+    """Add every entry of the element matrices to its place."""
+    for entry in range(len(rows)):
+        row, column, pair = rows[entry], columns[entry], pairs[entry]
+        for cell in range(element.shape[1]):
+            if block[pair, cell] >= 0:
+                values[start[row, block[pair, cell]] + column] += element[entry, cell]

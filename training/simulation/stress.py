@@ -9,7 +9,7 @@ from service.core.compiled import compiled
 from training.simulation.elements import GAUSS_POINTS, Hexahedron
 from training.simulation.solution import Solution
 from training.simulation.solver import LinearSolver
-from training.simulation.trilinear import Eight, coefficients
+from training.simulation.trilinear import nodal_coefficients
 
 _PLACES: Float64[np.ndarray, "axis=3 gauss=8"] = np.ascontiguousarray(GAUSS_POINTS.T - 0.5)
 """Gauss points from the middle of the cell, in its edges."""
@@ -112,8 +112,9 @@ def _trilinear_means(
     """As `_means`, of trilinear displacements; `scale` is the number of cells along an edge of the cube."""
     stress = np.empty(8)
     for cell in range(len(mean)):
-        p, q = _terms(nodal, cell_nodes, cell, 0), _terms(nodal, cell_nodes, cell, 1)
-        r = _terms(nodal, cell_nodes, cell, 2)
+        p = nodal_coefficients(nodal, cell_nodes, cell, 0)
+        q = nodal_coefficients(nodal, cell_nodes, cell, 1)
+        r = nodal_coefficients(nodal, cell_nodes, cell, 2)
         # all Gauss points, of material or not, without a question: four at a time
         for gauss in range(8):
             x, y, z = places[0, gauss], places[1, gauss], places[2, gauss]
@@ -136,14 +137,3 @@ def _trilinear_means(
                 total += weight * stress[gauss]
                 volume += weight
         mean[cell] = total / volume if volume > 0.0 else 0.0
-
-
-@compiled
-def _terms(nodal: Float64[np.ndarray, "nodes 3"], cell_nodes: Int[np.ndarray, "m 8"], cell: int, axis: int) -> Eight:
-    """Coefficients of the trilinear displacement of a cell along an axis."""
-    return coefficients(
-        nodal[cell_nodes[cell, 0], axis], nodal[cell_nodes[cell, 1], axis],
-        nodal[cell_nodes[cell, 2], axis], nodal[cell_nodes[cell, 3], axis],
-        nodal[cell_nodes[cell, 4], axis], nodal[cell_nodes[cell, 5], axis],
-        nodal[cell_nodes[cell, 6], axis], nodal[cell_nodes[cell, 7], axis],
-    )  # fmt: skip

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
+import numpy as np
+from jaxtyping import Float64, Int
+
 from service.core.compiled import compiled
 
 Eight: TypeAlias = tuple[float, float, float, float, float, float, float, float]
@@ -24,6 +27,26 @@ def coefficients(
         0.125 * (a + e), 0.25 * (e - a), 0.25 * (c + g), 0.25 * (b + f),
         0.5 * (g - c), 0.5 * (d + h), 0.5 * (f - b), h - d,
     )  # fmt: skip
+
+
+@compiled
+def nodal_coefficients(
+    nodal: Float64[np.ndarray, "nodes 3"], cell_nodes: Int[np.ndarray, "m 8"], cell: int, axis: int
+) -> Eight:
+    """As `coefficients`, of a nodal field in a cell along an axis."""
+    return coefficients(
+        nodal[cell_nodes[cell, 0], axis], nodal[cell_nodes[cell, 1], axis],
+        nodal[cell_nodes[cell, 2], axis], nodal[cell_nodes[cell, 3], axis],
+        nodal[cell_nodes[cell, 4], axis], nodal[cell_nodes[cell, 5], axis],
+        nodal[cell_nodes[cell, 6], axis], nodal[cell_nodes[cell, 7], axis],
+    )  # fmt: skip
+
+
+@compiled
+def value_at(terms: Eight, x: float, y: float, z: float) -> float:
+    """The polynomial of these coefficients at ξ, η, ζ."""
+    value = terms[0] + x * terms[1] + y * terms[2] + z * terms[3]
+    return value + x * y * terms[4] + y * z * terms[5] + z * x * terms[6] + x * y * z * terms[7]
 
 
 @compiled
