@@ -44,7 +44,7 @@ def displacement_at(
     places = (voxels + 0.5).astype(np.float32)
     moved = (field_m[:, deformed].T.astype(np.float32)) / np.float32(pitch_m)
     points = np.asarray(points_m, np.float32) / np.float32(pitch_m)
-    nearest, distance = _nearest(points, places - moved if configuration == "rest" else places)
+    nearest, distance = nearest_places(points, places - moved if configuration == "rest" else places)
     if configuration == "deformed":
         found = _interpolated(points, deformed, field_m, pitch_m, moved[nearest])
     else:
@@ -91,10 +91,15 @@ def _interpolated(
     return np.where(some[:, None], mean, otherwise).astype(np.float32)
 
 
-def _nearest(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index of, and distance to, the nearest place of each point; infinitely far where none is within reach.
+def nearest_places(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of, and distance to, the nearest place of each point; infinitely far where no place has a near x.
 
-    Points are taken in the order of their x with the places in a slab around them: a tenth of all, for a body.
+    Right wherever the nearest place is within `REACH_VOXELS`. Points are taken in the order of their x, with the places
+    of a slab around them: of a body's, a seventh.
+
+    Args:
+        points: n × 3, voxels.
+        places: m × 3, voxels, at least one.
     """
     index = np.zeros(len(points), np.int64)
     distance = np.full(len(points), np.inf, np.float32)

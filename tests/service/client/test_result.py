@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from service.client import NotInReply, Push, Result, Shape
-from service.client.displacement import REACH_VOXELS
-from service.client.displacement import _nearest as nearest_places
+from service.client.displacement import REACH_VOXELS, nearest_places
 from service.client.question import question
 from tests.service.client.answers import BODY, GRID, PITCH_M, answer, in_camera, sheared
 
