@@ -7,7 +7,7 @@ from jaxtyping import Float32, Float64
 
 from service.core.compiled import compiled
 from service.core.prior_grid import CORNERS, POINTS_27, CellGrid, shape_functions
-from service.core.prior_moments import GAUSS_3
+from service.core.prior_moments import GAUSS_3, add_share
 
 VOID_STIFFNESS = 1e-3
 """Young's modulus of the empty part of a cell, of that of the body: no node hangs free."""
@@ -76,12 +76,12 @@ def _point_stiffness(moduli: Moduli, edges: Float32[np.ndarray, "3"], table: Flo
                     gradient[q, 3 * i + j, 3 * a + i] = _GRADIENTS[q, a, j] / edges[j]
         _stresses(moduli, gradient[q], stress)
         for m in range(len(coupling)):
-            _add(_WEIGHTS_27[q] * _MODES[q, m % 3], stress[m], coupling[m])
+            add_share(_WEIGHTS_27[q] * _MODES[q, m % 3], stress[m], coupling[m])
         _add_products(gradient[q], gradient[q], _WEIGHTS_27[q] * volume, table[27])
     for q in range(len(gradient)):
         for m in range(len(coupling)):
             # ∫(ξ_j − ½)² = 1/12, and entries of the same j are uncoupled by an isotropic law
-            _add(np.float32(-12.0) * _MODES[q, m % 3] / moduli[m, m], coupling[m], gradient[q, m])
+            add_share(np.float32(-12.0) * _MODES[q, m % 3] / moduli[m, m], coupling[m], gradient[q, m])
         _stresses(moduli, gradient[q], stress)
         _add_products(gradient[q], stress, volume, table[q])
 
@@ -93,7 +93,7 @@ def _stresses(moduli: Moduli, gradient: Rows, stress: Rows) -> None:
             stress[m, b] = 0.0
         for n in range(len(moduli)):
             if moduli[m, n] != 0.0:
-                _add(moduli[m, n], gradient[n], stress[m])
+                add_share(moduli[m, n], gradient[n], stress[m])
 
 
 @compiled
@@ -102,13 +102,7 @@ def _add_products(first: Rows, second: Rows, share: np.float32, result: Float32[
     for a in range(len(result)):
         for m in range(len(first)):
             if first[m, a] != 0.0:
-                _add(share * first[m, a], second[m], result[a])
-
-
-@compiled
-def _add(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " n"]) -> None:
-    for i in range(len(result)):
-        result[i] += share * values[i]
+                add_share(share * first[m, a], second[m], result[a])
 
 
 def floor_stiffness(grid: CellGrid) -> Float32[np.ndarray, "4 4 b"]:

@@ -14,7 +14,7 @@ from jaxtyping import Float, Float32, Float64, Int, UInt8
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
-from service.core.prior_moments import GAUSS_3, FloorWeights, Weights, quadrature_weights
+from service.core.prior_moments import GAUSS_3, Weights, quadrature_weights
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
@@ -79,9 +79,13 @@ class CellGrid:
         nx, ny, nz = shape.tolist()
         weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
         kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
-        count = _keep(weights, floor, MIN_FILL, kept)
+        inside = kept[1:-1, 1:-1, 1:-1]
+        inside[...] = weights.sum(axis=0) >= MIN_FILL
+        inside[:, :, 0] |= floor.sum(axis=0) >= MIN_FILL
+        count = _keep(kept)
         if count == 0:  # a body that touches the floor with a few voxels only
-            count = _keep(weights, floor, 1e-6, kept)
+            inside[:, :, 0] |= floor.sum(axis=0) > 1e-6
+            count = _keep(kept)
         # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
         order = np.argsort([-nx, -ny, -nz], kind="stable")
         cell_of_box, chosen, nodes, corners, own = _number(kept, count, order, weights)
@@ -180,43 +184,19 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 
 
 @compiled
-def _keep(weights: Weights, floor: FloorWeights, least_floor: float, kept: Box) -> int:
-    """Mark the cells with material that are connected to the lowest layer across faces, and count them.
-
-    Nothing holds the others. In the lowest layer a cell counts that fills so much of its lower face, too.
-
-    Args:
-        weights: See `quadrature_weights`.
-        floor: See there.
-        least_floor: In areas of a cell.
-        kept: 1 for the cells kept; those outside the box, all around it, are 0.
-    """
-    reached, solid, count = 1, 2, 0
-    _, size_x, size_y, size_z = weights.shape
-    for x in range(size_x):
-        for y in range(size_y):
-            for z in range(size_z):
-                fill = np.float32(0.0)
-                for q in range(len(weights)):
-                    fill += weights[q, x, y, z]
-                kept[x + 1, y + 1, z + 1] = solid if fill >= MIN_FILL else 0
-            fill = np.float32(0.0)
-            for q in range(len(floor)):
-                fill += floor[q, x, y]
-            if fill >= least_floor or kept[x + 1, y + 1, 1]:
-                kept[x + 1, y + 1, 1] = reached
-                count += 1
-    before = -1
+def _keep(solid: Box) -> int:
+    """Mark with 2 what is connected to the lowest layer across faces, and count it: nothing holds the others."""
+    count, before = 0, -1
     while before != count:
         before = count
-        for x in range(1, size_x + 1):
-            for y in range(1, size_y + 1):
-                for z in range(1, size_z + 1):
-                    if kept[x, y, z] == solid:
-                        near = kept[x - 1, y, z] | kept[x + 1, y, z] | kept[x, y - 1, z]
-                        near |= kept[x, y + 1, z] | kept[x, y, z - 1] | kept[x, y, z + 1]
-                        if near & reached:
-                            kept[x, y, z] = reached
+        for x in range(1, solid.shape[0] - 1):
+            for y in range(1, solid.shape[1] - 1):
+                for z in range(1, solid.shape[2] - 1):
+                    if solid[x, y, z] == 1:
+                        near = solid[x - 1, y, z] | solid[x + 1, y, z] | solid[x, y - 1, z]
+                        near |= solid[x, y + 1, z] | solid[x, y, z - 1] | solid[x, y, z + 1]
+                        if z == 1 or near & 2:
+                            solid[x, y, z] = 2
                             count += 1
     return count
 
@@ -228,7 +208,7 @@ def _number(
     Int[np.ndarray, "x y z"], Int[np.ndarray, "m 3"], Int[np.ndarray, "n 3"], Int[np.ndarray, "m 8"],
     Float32[np.ndarray, "27 m"],
 ]:  # fmt: skip
-    """Number the cells in the order of memory and the nodes by their axes in this order.
+    """Number the cells marked with 2 in the order of memory and the nodes by their axes in this order.
 
     Returns:
         The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights.
@@ -243,7 +223,7 @@ def _number(
         for y in range(size_y):
             for z in range(size_z):
                 cell_of_box[x, y, z] = -1
-                if kept[x + 1, y + 1, z + 1] == 1:
+                if kept[x + 1, y + 1, z + 1] == 2:
                     cell_of_box[x, y, z] = m
                     cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
                     for q in range(len(own)):

@@ -81,29 +81,30 @@ def _patch(
         first[axis] = int(min(max((contact[axis] - reach) * _SIZE - _ONE, _ZERO), _SIZE))
         end[axis] = int(min(max((contact[axis] + reach) * _SIZE + _TWO, _ZERO), _SIZE))
     normal_x, normal_y, normal_z, count = _ZERO, _ZERO, _ZERO, 0
-    for i in range(first[0], end[0]):
-        for j in range(first[1], end[1]):
-            for k in range(first[2], end[2]):
-                if occupancy[i, j, k]:
+    points, weights = np.empty((3, 0), np.float32), np.empty(0, np.float32)
+    for normal_known in (False, True):
+        if normal_known:
+            points, weights, count = np.empty((3, count), np.float32), np.empty(count, np.float32), 0
+        for i in range(first[0], end[0]):
+            for j in range(first[1], end[1]):
+                for k in range(first[2], end[2]):
+                    if not occupancy[i, j, k]:
+                        continue
                     a, b, c = _outward(occupancy, floor, i, j, k)
-                    squared = _squared_distance(contact, i, j, k, a, b, c)
-                    if squared < reach * reach:
+                    x, y, z = _place(i, j, k, a, b, c)
+                    squared = (x - contact[0]) ** 2 + (y - contact[1]) ** 2 + (z - contact[2]) ** 2
+                    if not squared < reach * reach:  # nor inside the body, where it is no number
+                        continue
+                    if not normal_known:
                         share = np.exp(squared * (_HALF / (-_FACING * _FACING))) * np.sqrt(a * a + b * b + c * c)
                         normal_x, normal_y, normal_z = normal_x + share * a, normal_y + share * b, normal_z + share * c
-                        count += int(squared < radius * radius)
-    points, weights, found = np.empty((3, count), np.float32), np.empty(count, np.float32), 0
-    for i in range(first[0], end[0]):
-        for j in range(first[1], end[1]):
-            for k in range(first[2], end[2]):
-                if occupancy[i, j, k]:
-                    a, b, c = _outward(occupancy, floor, i, j, k)
-                    squared = _squared_distance(contact, i, j, k, a, b, c)
                     if squared < radius * radius:
-                        points[0, found], points[1, found], points[2, found] = _place(i, j, k, a, b, c)
-                        within = _ONE - squared / (radius * radius)
-                        facing = normal_x * a + normal_y * b + normal_z * c
-                        weights[found] = within * within * max(facing, _ZERO)
-                        found += 1
+                        if normal_known:
+                            within = _ONE - squared / (radius * radius)
+                            facing = normal_x * a + normal_y * b + normal_z * c
+                            points[0, count], points[1, count], points[2, count] = x, y, z
+                            weights[count] = within * within * max(facing, _ZERO)
+                        count += 1
     return points, weights
 
 
@@ -119,19 +120,7 @@ def _outward(occupancy: Bytes, floor: int, i: int, j: int, k: int) -> Vector:
 
 @compiled
 def _place(i: int, j: int, k: int, a: np.float32, b: np.float32, c: np.float32) -> Vector:
-    """Of the surface at a voxel, in edges of the grid: half a voxel outward from its centre."""
+    """Of the surface at a voxel, in edges of the grid: half a voxel outward from its centre. No number inside."""
     half = _HALF / np.sqrt(a * a + b * b + c * c)
     x, y, z = np.float32(i) + _HALF + half * a, np.float32(j) + _HALF + half * b, np.float32(k) + _HALF + half * c
     return x / _SIZE, y / _SIZE, z / _SIZE
-
-
-@compiled
-def _squared_distance(
-    contact: Float32[np.ndarray, "3"], i: int, j: int, k: int, a: np.float32, b: np.float32, c: np.float32
-) -> np.float32:
-    """From a contact to the surface at a voxel; infinite inside the body."""
-    if a == _ZERO and b == _ZERO and c == _ZERO:
-        return np.float32(np.inf)
-    x, y, z = _place(i, j, k, a, b, c)
-    x, y, z = x - contact[0], y - contact[1], z - contact[2]
-    return np.float32(x * x + y * y + z * z)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import TypeAlias
 
 import numpy as np
@@ -73,7 +73,7 @@ def _integrate(
                     for k in range(8):
                         filled = word & one == one
                         if filled != below:  # a run of voxels begins, or has ended
-                            _add(np.float32(1.0) if below else np.float32(-1.0), z[8 * w + k - first[2]], column)
+                            add_share(np.float32(1.0) if below else np.float32(-1.0), z[8 * w + k - first[2]], column)
                             empty, below = False, filled
                         word >>= np.uint64(8)
             if not empty:
@@ -81,12 +81,12 @@ def _integrate(
                 for q in range(len(plane)):
                     share = y[j + 1, q] - y[j, q]
                     if share != 0.0:  # a voxel is in one cell or in two
-                        _add(share, column, plane[q])
+                        add_share(share, column, plane[q])
         for p in range(len(total)):
             share = x[i + 1, p] - x[i, p]
             if share != 0.0:
                 for q in range(len(plane)):
-                    _add(share, plane[q], total[p, q])
+                    add_share(share, plane[q], total[p, q])
     for p in range(3):
         for q in range(3):
             for a in range(weights.shape[1]):
@@ -98,8 +98,9 @@ def _integrate(
                             weights[9 * p + 3 * q + r, a, b, c] = line[3 * c + r]
 
 
-@compiled
-def _add(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " more"]) -> None:
+@partial(compiled, apart=True)
+def add_share(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " more"]) -> None:
+    """Add a share of values to the first of others."""
     for i in range(len(values)):
         result[i] += share * values[i]
 
