@@ -78,7 +78,9 @@ class PardisoFactor:
         self._handle, self._settings = np.zeros(64, np.int64), np.zeros(64, np.int32)
         for number, value in _SETTINGS.items():
             self._settings[number - 1] = value
-        self._settings[27] = like is not None
+        if like is not None:
+            # single precision; refactored often, it earns the better ordering that single rows get
+            self._settings[27], self._settings[36] = 1, 0
         self._upper = upper.copy() if like is None else upper.astype(np.float32)
         # counted from one
         self._starts, self._columns = upper.indptr.astype(np.int32) + 1, upper.indices.astype(np.int32) + 1
