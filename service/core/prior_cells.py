@@ -5,6 +5,7 @@ Components come first and cells last: the inner loops are as long as there are c
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -74,14 +75,14 @@ def _list_cells(
 ) -> None:  # fmt: skip
     """Write the nodes of every cell, and of every node its cells and their shares, which are 0 before."""
     for c in range(len(cell_nodes)):
-        for a in range(8):
+        for a in range(len(share)):
             v = cell_nodes[c, a]
             nodes[a, c], around[a, v], share[a, v] = v, c, fill[c]
     for v in range(around.shape[1]):
         total = np.float32(0.0)
-        for a in range(8):
+        for a in range(len(share)):
             total += share[a, v]
-        for a in range(8):
+        for a in range(len(share)):
             share[a, v] /= total
 
 
@@ -96,7 +97,7 @@ def at_corners(cells: Cells, values: Nodal, result: Corners) -> None:
                 row[c] = of[node[c]]
 
 
-@compiled
+@partial(compiled, apart=True)
 def gradients(cells: Cells, corners: Corners, result: Matrices) -> None:
     """∂/∂X of a field at the centre of every cell; also its mean over the cell."""
     for j in range(result.shape[1]):
@@ -116,7 +117,7 @@ def gradients(cells: Cells, corners: Corners, result: Matrices) -> None:
                 row[c] = by * (high - ((low_0[c] + low_1[c]) + (low_2[c] + low_3[c])))
 
 
-@compiled
+@partial(compiled, apart=True)
 def cell_forces(cells: Cells, displacement: Corners, result: Corners) -> None:
     """Stiffness times displacement."""
     u, forces = displacement.reshape(24, -1), result.reshape(24, -1)

@@ -66,14 +66,14 @@ def _point_stiffness(moduli: Moduli, edges: Float32[np.ndarray, "3"], table: Flo
 
     The entry 3i + j of a displacement gradient is ∂u_i/∂x_j, enhanced by a mode that varies along axis j.
     """
-    gradient, stress = np.zeros((27, 9, 24), np.float32), np.empty((9, 24), np.float32)
-    coupling = np.zeros((9, 24), np.float32)
+    freedoms = table.shape[1]
+    gradient, stress = np.zeros((27, 9, freedoms), np.float32), np.empty((9, freedoms), np.float32)
+    coupling = np.zeros((9, freedoms), np.float32)
     volume = edges[0] * edges[1] * edges[2]
     for q in range(len(gradient)):
-        for a in range(8):
-            for i in range(3):
-                for j in range(3):
-                    gradient[q, 3 * i + j, 3 * a + i] = _GRADIENTS[q, a, j] / edges[j]
+        for column in range(table.shape[1]):
+            for j in range(len(edges)):
+                gradient[q, 3 * (column % 3) + j, column] = _GRADIENTS[q, column // 3, j] / edges[j]
         _stresses(moduli, gradient[q], stress)
         for m in range(len(coupling)):
             add_share(_WEIGHTS_27[q] * _MODES[q, m % 3], stress[m], coupling[m])

@@ -228,7 +228,7 @@ def _number(
                     cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
                     for q in range(len(own)):
                         own[q, m] = weights[q, x, y, z]
-                    for a in range(8):
+                    for a in range(corners.shape[1]):
                         node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 1
                     m += 1
     nodes = np.empty((node_of_box.size, 3), np.int64)
@@ -242,6 +242,6 @@ def _number(
                     nodes[n, 0], nodes[n, 1], nodes[n, 2] = at[0], at[1], at[2]
                     n += 1
     for c in range(count):
-        for a in range(8):
+        for a in range(corners.shape[1]):
             corners[c, a] = node_of_box[cells[c, 0] + (a >> 2), cells[c, 1] + (a >> 1 & 1), cells[c, 2] + (a & 1)]
     return cell_of_box, cells, nodes[:n], corners, own

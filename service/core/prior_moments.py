@@ -55,7 +55,8 @@ def _integrate(
 ) -> None:
     """Integrals along columns of voxels, over their rows, and over these: each table is a factor of the polynomials.
 
-    Eight voxels at a time are looked at, and one by one only where they are not like the one below.
+    Eight voxels at a time are looked at, and one by one only where they are not like the one below. Loops run to
+    lengths of arrays: were these known to the compiler, it would write the loops out.
     """
     one, lowest, shift = np.uint64(1), first[2] // 8, np.uint64(8 * (first[2] % 8))
     size = z.shape[1]
@@ -67,10 +68,10 @@ def _integrate(
         for j in range(len(y) - 1):
             column[:] = 0.0
             empty, below = True, False
-            for w in range(9):  # above the last there is nothing
-                word = words[first[0] + i, first[1] + j, w] if w < 8 else np.uint64(0)
+            for w in range(words.shape[2] + 1):  # above the last there is nothing
+                word = words[first[0] + i, first[1] + j, w] if w < words.shape[2] else np.uint64(0)
                 if word != (_EIGHT if below else np.uint64(0)):
-                    for k in range(8):
+                    for k in range(words.shape[2]):  # as many as there are words
                         filled = word & one == one
                         if filled != below:  # a run of voxels begins, or has ended
                             add_share(np.float32(1.0) if below else np.float32(-1.0), z[8 * w + k - first[2]], column)
@@ -87,15 +88,14 @@ def _integrate(
             if share != 0.0:
                 for q in range(len(plane)):
                     add_share(share, plane[q], total[p, q])
-    for p in range(3):
-        for q in range(3):
-            for a in range(weights.shape[1]):
-                for b in range(weights.shape[2]):
-                    line = total[3 * a + p, 3 * b + q]
-                    floor[3 * p + q, a, b] = line[size]
-                    for r in range(3):
-                        for c in range(weights.shape[3]):
-                            weights[9 * p + 3 * q + r, a, b, c] = line[3 * c + r]
+    for a in range(weights.shape[1]):
+        for b in range(weights.shape[2]):
+            for point in range(len(floor)):
+                floor[point, a, b] = total[3 * a + point // 3, 3 * b + point % 3, size]
+            for point in range(len(weights)):
+                line = total[3 * a + point // 9, 3 * b + point // 3 % 3]
+                for c in range(weights.shape[3]):
+                    weights[point, a, b, c] = line[3 * c + point % 3]
 
 
 @partial(compiled, apart=True)

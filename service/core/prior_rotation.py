@@ -5,6 +5,7 @@ Compiled loops over cells; matrices are laid out components first, (3, 3, k), so
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -111,7 +112,7 @@ def exponentials(axes: Vectors, share: Real, result: Matrices) -> None:
         result[2, 0, k], result[2, 1, k], result[2, 2, k] = g, h, i
 
 
-@compiled
+@partial(compiled, apart=True)
 def spin_axes(gradients: Matrices, result: Vectors) -> None:
     """Axes ω of the infinitesimal rotations, half the curl."""
     for i in range(3):
@@ -129,7 +130,7 @@ def add_identity(matrices: Matrices) -> None:
             row[k] += np.float32(1.0)
 
 
-@compiled
+@partial(compiled, apart=True)
 def turn(rotations: Matrices, vectors: Vectors, result: Vectors) -> None:
     """R v of every rotation and vector."""
     x, y, z = vectors[0], vectors[1], vectors[2]
@@ -139,7 +140,7 @@ def turn(rotations: Matrices, vectors: Vectors, result: Vectors) -> None:
             row[k] = a[k] * x[k] + b[k] * y[k] + c[k] * z[k]
 
 
-@compiled
+@partial(compiled, apart=True)
 def turn_back(rotations: Matrices, vectors: Vectors, result: Vectors) -> None:
     """Rᵀ v of every rotation and vector."""
     x, y, z = vectors[0], vectors[1], vectors[2]
