@@ -14,6 +14,7 @@ from training.data.contact_sheet import DEFORMED, REST, arranged, captioned, dra
 
 try:
     from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
 except ModuleNotFoundError as missing:  # pragma: no cover
     raise ModuleNotFoundError("Pictures need matplotlib: pip install 'physnet[pictures]'") from missing
 
@@ -68,6 +69,9 @@ def frontier(found: dict[str, Any]) -> bytes:
     for name in ("coarse solve alone", "network"):
         axes.plot(ms[name], iou[name], "*", markersize=11, label=name)
     axes.set(xscale="log", xlabel="processor time of an answer, ms", ylabel=f"IoU, mean of {found['samples']} samples")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(ScalarFormatter())
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.legend(frameon=False, fontsize="small")
     return _svg(figure)
 
