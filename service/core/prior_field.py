@@ -23,6 +23,7 @@ _PARENT_SHARE = 0.01
 """What the coarser level counts for where the finer one has samples of its own; elsewhere it counts for all."""
 _VOID_SHARE = 0.02
 """What a sample counts for that stands for no material: it continues the field around the body."""
+_HELD, _CONTINUED = np.float32(0.0), np.float32(1.0)
 _MIN_DETERMINANT = np.float32(0.1)
 _SHAPE_27: Float32[np.ndarray, "27 8"] = np.ascontiguousarray(shape_functions(POINTS_27.T).T, np.float32)
 _FULL_27 = np.outer(np.outer([5.0, 8.0, 5.0], [5.0, 8.0, 5.0]), [5.0, 8.0, 5.0]).ravel() / 18.0**3
@@ -71,9 +72,9 @@ def backward_fields(points: Points, cells: Cells, displacement: Float32[np.ndarr
         coarse[...] = 0.0
         _splat(points, cells, displacement[load], fine, coarse)
         _average(fine, coarse, value)
-        _refine(value.reshape(-1, old, 1), True, along_z)
-        _refine(along_z.reshape(-1, old, new), True, along_y)
-        _refine(along_y.reshape(3, old, new * new), True, result[load].reshape(3, new, new * new))
+        _refine(value.reshape(-1, old, 1), _CONTINUED, along_z)
+        _refine(along_z.reshape(-1, old, new), _CONTINUED, along_y)
+        _refine(along_y.reshape(3, old, new * new), _CONTINUED, result[load].reshape(3, new, new * new))
     return result
 
 
@@ -172,9 +173,9 @@ def _average(fine: Sums, coarse: Sums, result: Float32[np.ndarray, "3 cells"]) -
     old, new = _COARSE_SIZE, _SPLAT_SIZE
     along_z, along_y = np.empty((12 * old * old, new, 1), np.float32), np.empty((12 * old, new, new), np.float32)
     spread = np.empty((12, new, new * new), np.float32)
-    _refine(expansions.reshape(12 * old * old, old, 1), False, along_z)
-    _refine(along_z.reshape(12 * old, old, new), False, along_y)
-    _refine(along_y.reshape(12, old, new * new), False, spread)
+    _refine(expansions.reshape(12 * old * old, old, 1), _HELD, along_z)
+    _refine(along_z.reshape(12 * old, old, new), _HELD, along_y)
+    _refine(along_y.reshape(12, old, new * new), _HELD, spread)
     at, own, to = spread.reshape(12, new * new, new), fine.reshape(new * new, new, 4), result.reshape(3, new * new, new)
     for row in range(new * new):
         _complete(at[:, row], _centre(row // new), _centre(row % new), own[row], to[0, row], to[1, row], to[2, row])
@@ -199,7 +200,7 @@ def _complete(
 
 
 @compiled
-def _refine(values: Rows, continued: bool, result: NewRows) -> None:
+def _refine(values: Rows, beyond: np.float32, result: NewRows) -> None:
     """From the centres of few cells to those of more along the middle axis."""
     step = np.float32(values.shape[1]) / np.float32(result.shape[1])
-    interpolate(values, np.float32(0.5) * step - np.float32(0.5), step, continued, result)
+    interpolate(values, np.float32(0.5) * step - np.float32(0.5), step, beyond, result)

@@ -12,22 +12,20 @@ NewRows = Float32[np.ndarray, "before m after"]
 
 
 @compiled
-def interpolate(values: Rows, first: np.float32, step: np.float32, continued: bool, result: NewRows) -> None:
+def interpolate(values: Rows, first: np.float32, step: np.float32, beyond: np.float32, result: NewRows) -> None:
     """Write the values at the places `first + step · i` along the middle axis.
 
     Args:
         values: At the places 0, 1, 2 …; two at least.
         first: Where the first place of the result is.
         step: From each to the next.
-        continued: Whether the line goes on past the first and last value; else these hold.
+        beyond: How far the line goes on past the first and last value, after which it holds.
         result: To be written over.
     """
     last = np.float32(values.shape[1] - 1)
     below, share = np.empty(result.shape[1], np.int64), np.empty(result.shape[1], np.float32)
     for i in range(len(share)):
-        place = first + np.float32(i) * step
-        if not continued:
-            place = min(max(place, np.float32(0.0)), last)
+        place = min(max(first + np.float32(i) * step, -beyond), last + beyond)
         below[i] = min(max(int(place), 0), values.shape[1] - 2)
         share[i] = place - np.float32(below[i])
     for a in range(len(values)):

@@ -41,9 +41,10 @@ def forward_lattice(grid: CellGrid, nodal: Float32[np.ndarray, "loads 3 n"]) -> 
         np.empty((len(box) * x, size, size), np.float32),
     )
     result = np.empty((len(box), size, size * size), np.float32)
-    interpolate(box.reshape(-1, z, 1), first[2], step[2], False, along_z)
-    interpolate(along_z.reshape(-1, y, size), first[1], step[1], False, along_y)
-    interpolate(along_y.reshape(-1, x, size * size), first[0], step[0], False, result)
+    held = np.float32(0.0)
+    interpolate(box.reshape(-1, z, 1), first[2], step[2], held, along_z)
+    interpolate(along_z.reshape(-1, y, size), first[1], step[1], held, along_y)
+    interpolate(along_y.reshape(-1, x, size * size), first[0], step[0], held, result)
     return result.reshape(-1, 3, size, size, size)
 
 

@@ -9,7 +9,7 @@ from service.core.prior_interpolation import interpolate
 def test_a_line_is_interpolated_between_its_values_and_held_or_continued_beyond(after: int, continued: bool) -> None:
     values = np.random.default_rng(0).normal(size=(3, 4, after)).astype(np.float32)
     result = np.empty((3, 9, after), np.float32)
-    interpolate(values, np.float32(-0.75), np.float32(0.5), continued, result)
+    interpolate(values, np.float32(-0.75), np.float32(0.5), np.float32(1.0 if continued else 0.0), result)
     place = -0.75 + 0.5 * np.arange(9)
     for a in range(3):
         for b in range(after):
