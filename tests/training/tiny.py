@@ -88,8 +88,8 @@ def deformation_group(group: int) -> dict[str, np.ndarray]:
         deformed, backward = sheared(rest, shift)
         forward = shift.astype(np.float32)[:, None, None, None] * CENTRES[2]
         result = Rasterised(
-            deformed, np.ascontiguousarray(backward[:, deformed].T), np.flatnonzero(rest),
-            np.ascontiguousarray(forward[:, rest].T), float(shift[0] * height), float(shift[0] * height / 2),
+            deformed, np.flatnonzero(deformed), np.ascontiguousarray(backward[:, deformed].T), np.flatnonzero(rest),
+            np.ascontiguousarray(forward[:, rest].T), float(shift[0] * height),
         )  # fmt: skip
         load = Load(np.array([0.5, 0.5, height]), np.array([1.0, 0.0, 0.0]), 10.0**log_load, 0.1)
         reaction = Reaction(-load.load_number * load.direction, np.zeros(3))
