@@ -122,6 +122,9 @@ $(BASE_PYTHON) $(FULL_PYTHON):
 
 $(BASE)/.installed-demo: pyproject.toml | $(BASE_PYTHON)
 	$(call say,$(BASE): installing the service and matplotlib)
+	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --editable .
+	@# Half of what a first start compiles is compiled while the rest is fetched.
+	@"$(BASE_PYTHON)" -m service.warm_up & \
 	"$(BASE_PYTHON)" -m pip $(PIP_FLAGS) install --editable ".[pictures]"
 	@touch "$@"
 
