@@ -112,7 +112,8 @@ def octomap_leaves(path: Path) -> np.ndarray:
     program = shutil.which("bt2vrml", path=str(Path(sys.executable).parent))
     if program is None:
         pytest.skip("OctoMap's own programs are not installed: pip install cmeel-octomap")
-    subprocess.run([program, str(path)], check=True, capture_output=True, timeout=60)
+    # By Python itself: the first line of an installed program cannot name a path with a space in it.
+    subprocess.run([sys.executable, program, str(path)], check=True, capture_output=True, timeout=60)
     text = Path(f"{path}.wrl").read_text()
     number = r"(-?[\d.e+-]+)"
     found = re.findall(rf"translation {number} {number} {number}.*?size {number} {number} {number}", text, re.S)
