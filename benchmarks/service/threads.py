@@ -27,12 +27,12 @@ RESULTS = Path(__file__).resolve().parent / "results"
 
 def configurations(cores: int) -> dict[str, dict[str, Any]]:
     """What is compared, by name; the served one first."""
-    served = {"threads": cores, "spin": "0", "stop": "0", "arena": True, "pattern": True}
+    served = {"threads": max(1, cores // 2), "spin": "0", "stop": "0", "arena": True, "pattern": True}
     return {
         "served": served,
-        "one thread": {**served, "threads": 1},
-        "spinning": {**served, "spin": "1"},
-        "spinning, stopped after each run": {**served, "spin": "1", "stop": "1"},
+        "as many threads as cores": {**served, "threads": cores},
+        "these spinning": {**served, "threads": cores, "spin": "1"},
+        "these spinning, stopped after each run": {**served, "threads": cores, "spin": "1", "stop": "1"},
         "no arena": {**served, "arena": False},
         "no memory pattern": {**served, "pattern": False},
     }
