@@ -82,8 +82,8 @@ class Settings(BaseSettings):
     """How long a reconstruction is kept after its last use, where the memory lasts."""
 
     threads: int = Field(default_factory=lambda: max(1, available_cores() // 2), ge=1)
-    """Threads of each network's session; by default half the cores this process may use: two hyperthreads share the
-    units that multiply, and the wires and the next frame want a core, too."""
+    """Threads of each network's session; by default half the cores this process may use: networks this small gain
+    nothing from more, and the wires and the next frame want a core, too."""
 
     request_deadline_s: float = Field(10.0, gt=0.0)
     """Longest a request may take from its first byte to inference. Clients may ask for less, never for more."""
