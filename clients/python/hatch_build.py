@@ -14,6 +14,7 @@ MODULES = (
     "service/api/__init__.py",
     "service/api/generated",
     "service/core/__init__.py",
+    "service/core/archive.py",
     "service/core/arrays.py",
     "service/core/colours.py",
     "service/core/errors.py",

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import json
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ from service.client.formats.glb import encode_glb
 from service.client.formats.octomap import encode_octomap
 from service.client.formats.ply import encode_ply
 from service.client.result import Layer, Result
+from service.core.archive import npz_bytes
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.grids import Grid
 
@@ -68,7 +67,7 @@ def npz(result: Result) -> bytes:
     }
     for name in ("max_displacement_m", "mean_displacement_m", "load_number"):
         arrays[name] = np.array([getattr(push, name) for push in result])
-    return _archive({name: array for name, array in arrays.items() if array is not None})
+    return npz_bytes({name: array for name, array in arrays.items() if array is not None})
 
 
 def _stacked(grids: list[np.ndarray | None]) -> np.ndarray | None:
@@ -78,16 +77,6 @@ def _stacked(grids: list[np.ndarray | None]) -> np.ndarray | None:
 
 def _half(probability: np.ndarray | None) -> np.ndarray | None:
     return None if probability is None else probability.astype(np.float16)
-
-
-def _archive(arrays: dict[str, np.ndarray]) -> bytes:
-    buffer = io.BytesIO()
-    # Occupancy shrinks 50-fold at the fastest compression already.
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, array in arrays.items():
-            with archive.open(f"{name}.npy", "w") as member:
-                np.lib.format.write_array(member, array, allow_pickle=False)
-    return buffer.getvalue()
 
 
 def ply(result: Result, layer: Layer = "deformed", push: int = 0) -> bytes:
