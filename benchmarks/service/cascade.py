@@ -46,8 +46,6 @@ STILL, STILL_RECONSTRUCTED, CASCADE, DIRECT, CEILING = (
 ROWS = (STILL, STILL_RECONSTRUCTED, CASCADE, DIRECT, CEILING)
 """The last is the best that the view grid, in which the direct network answers, can hold."""
 
-GRIDS = ("body grid", "view grid")
-
 
 @dataclass(frozen=True)
 class Rivals:

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.grids import unpack_bits
 from training.data.store import Store, StoreError
+from training.simulation.camera import direction
 
 TILE = 160
 """Edge of a picture in pixels."""
@@ -79,8 +80,7 @@ def draw(bodies: list[tuple[Occupancy, tuple[int, int, int]]]) -> Picture:
 def _surface(occupancy: Occupancy) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]]:
     """Height above the picture's plane (−∞ where there is nothing) and brightness of each pixel."""
     right = np.array([-np.sin(AZIMUTH_RAD), np.cos(AZIMUTH_RAD), 0.0])
-    toward = np.array([np.cos(ELEVATION_RAD) * np.cos(AZIMUTH_RAD), np.cos(ELEVATION_RAD) * np.sin(AZIMUTH_RAD),
-                       np.sin(ELEVATION_RAD)])  # fmt: skip
+    toward = direction(ELEVATION_RAD, AZIMUTH_RAD)
     up = np.cross(toward, right)
     if up[2] < 0:
         up, right = -up, -right

@@ -163,6 +163,10 @@ class Frame:
         pose: Transform = invert_rigid(self.viewpoint.camera_from_world) @ self.view.grid.camera_from_grid
         return pose
 
+    def truth(self, body: DistanceGrid) -> Occupancy:
+        """What a body fills of the view grid."""
+        return filled(body, Grid(self.view.grid.pitch_m, self.world_from_grid))
+
 
 class Hints(NamedTuple):
     """What a robot may say of the object: its pixels, the direction against gravity and a contact, camera frame."""
@@ -177,7 +181,7 @@ def draw_view(body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator)
     frame = draw_frame(body, config, rng)
     if frame is None:
         return None
-    return frame.view, filled(body, Grid(frame.view.grid.pitch_m, frame.world_from_grid))
+    return frame.view, frame.truth(body)
 
 
 def draw_frame(body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator) -> Frame | None:

@@ -14,14 +14,13 @@ import numpy as np
 from service.core.arrays import Occupancy
 from service.core.camera import Intrinsics
 from service.core.errors import PhysNetError
-from service.core.grids import Grid, invert_rigid
 from service.core.segmentation import segment
 from service.core.voxels import VoxelView, voxelize
-from training.data.views import ViewsConfig, draw_view
-from training.simulation.camera import Viewpoint, look_at, render
+from training.data.views import Frame, Hints, ViewsConfig, draw_view
+from training.simulation.camera import Viewpoint, direction, look_at, render
 from training.simulation.distance_grid import DistanceGrid
 from training.simulation.families import FAMILIES, sample_shape
-from training.simulation.grid_body import filled, sampled, scaled
+from training.simulation.grid_body import sampled, scaled
 from training.simulation.sensor import PERFECT, SensorModel, apply_sensor
 from training.simulation.shapes import Shape
 
@@ -97,20 +96,19 @@ def _seen(
     low, high = circumstance.elevation_deg
     elevation = math.radians(low + height * (high - low))
     centre, extent = body.bounds.mean(axis=1), body.bounds[:, 1] - body.bounds[:, 0]
-    toward = np.array(
-        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
-    )
-    eye = centre + FOCAL_PX * float(np.linalg.norm(extent)) / circumstance.span_px * toward
+    distance_m = FOCAL_PX * float(np.linalg.norm(extent)) / circumstance.span_px
+    eye = centre + distance_m * direction(elevation, azimuth)
     camera = Intrinsics(FOCAL_PX, FOCAL_PX, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
     view = Viewpoint(look_at(eye.tolist(), centre.tolist(), math.radians(circumstance.roll_deg)), camera)
     rendering = render(Shape("object", body), *view)
     depth_m = apply_sensor(rendering.depth_m, rng, FOCAL_PX, circumstance.sensor, holes_near=rendering.mask)
+    hints = Hints(rendering.mask, view.camera_from_world[:3, 2], None)
     try:
-        found = segment(depth_m, camera, mask=rendering.mask, up=view.camera_from_world[:3, 2])
+        found = segment(depth_m, camera, *hints)
     except PhysNetError:
         return None
     if found.support is None:
         return None
     seen = voxelize(found.points, depth_m, camera, found.support.normal, found.support.offset_m)
-    world_from_grid = invert_rigid(view.camera_from_world) @ seen.grid.camera_from_grid
-    return seen, filled(body, Grid(seen.grid.pitch_m, world_from_grid))
+    frame = Frame(view, depth_m, hints, seen)
+    return frame.view, frame.truth(body)

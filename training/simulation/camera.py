@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float32
 
-from service.core.arrays import DepthImage, Mask, Points, Transform
+from service.core.arrays import DepthImage, Mask, Points, Transform, Vector3
 from service.core.camera import Intrinsics
 from service.core.grids import invert_rigid
 from training.simulation.distance_grid import DistanceGrid
@@ -101,6 +101,12 @@ def look_at(eye_m: Sequence[Number], target_m: Sequence[Number], roll_rad: Numbe
     return camera_from_world
 
 
+def direction(elevation_rad: Number, azimuth_rad: Number) -> Vector3:
+    """Unit vector towards a place at an elevation above the ground and an azimuth from the x axis."""
+    level = math.cos(elevation_rad)
+    return np.array([level * math.cos(azimuth_rad), level * math.sin(azimuth_rad), math.sin(elevation_rad)])
+
+
 def sample_viewpoint(bounds: Bounds, rng: np.random.Generator, width: int = 640, height: int = 480) -> Viewpoint:
     """A camera somewhere around a body, as a robot's would be.
 
@@ -128,9 +134,7 @@ def sample_viewpoint(bounds: Bounds, rng: np.random.Generator, width: int = 640,
     narrow = rng.random() < 0.8
     elevation = math.radians(rng.uniform(15, 60) if narrow else rng.uniform(5, 85))
     azimuth = rng.uniform(0, 2 * math.pi)
-    toward_eye = np.array(
-        [math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation)]
-    )
+    toward_eye = direction(elevation, azimuth)
     pixels = zoom * rng.uniform(60, 260)
     # The diagonal bounds what is seen from any side; bodies are seen smaller than that, hence the factor.
     span = 0.85 * float(np.linalg.norm(extent))
