@@ -134,7 +134,7 @@ async def serve(
         await asyncio.wait({loading, stopped, serving}, return_when=asyncio.FIRST_COMPLETED)
         if loading.done():
             served = loading.result()
-            scheduler = Scheduler(served.predictor, settings.queue_size)
+            scheduler = Scheduler(served.predictor, settings.queue_size, settings.workers)
             handler.open(scheduler, served.manifests, served.graphs, served.kept)
             await rpc.ready()
             host, http_port = listener.getsockname()[:2]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import secrets
+import threading
 import time
 from collections import OrderedDict
 from collections.abc import Callable
@@ -24,7 +25,7 @@ class _Kept(Generic[Item]):
 class Reconstructions(Generic[Item]):
     """Items by an id that nobody can guess; who holds an id may ask for what it names.
 
-    Used by the worker thread alone. The counts may be read from any thread.
+    Any thread may use them.
 
     Args:
         max_bytes: Together; where it is exceeded, those not used for the longest time go. 0 keeps nothing.
@@ -43,6 +44,7 @@ class Reconstructions(Generic[Item]):
         self._lifetime_s = lifetime_s
         self._clock = clock
         self._kept: OrderedDict[str, _Kept[Item]] = OrderedDict()
+        self._lock = threading.Lock()
         self.nbytes = 0
         self.hits = 0
         self.misses = 0
@@ -53,15 +55,16 @@ class Reconstructions(Generic[Item]):
 
     def keep(self, item: Item, nbytes: int) -> str | None:
         """Keep something of `nbytes` bytes; returns its id, None where it alone is more than may be kept."""
-        self._drop_expired()
-        if nbytes > self._max_bytes:
-            return None
-        while self.nbytes + nbytes > self._max_bytes:
-            self._drop(next(iter(self._kept)))
-        reconstruction_id = secrets.token_hex(16)
-        self._kept[reconstruction_id] = _Kept(item, nbytes, self._clock() + self._lifetime_s)
-        self.nbytes += nbytes
-        return reconstruction_id
+        with self._lock:
+            self._drop_expired()
+            if nbytes > self._max_bytes:
+                return None
+            while self.nbytes + nbytes > self._max_bytes:
+                self._drop(next(iter(self._kept)))
+            reconstruction_id = secrets.token_hex(16)
+            self._kept[reconstruction_id] = _Kept(item, nbytes, self._clock() + self._lifetime_s)
+            self.nbytes += nbytes
+            return reconstruction_id
 
     def find(self, reconstruction_id: str) -> Item:
         """What is kept under an id, whose time starts again.
@@ -69,20 +72,21 @@ class Reconstructions(Generic[Item]):
         Raises:
             ReconstructionGone: Nothing is, or no longer.
         """
-        self._drop_expired()
-        kept = self._kept.get(reconstruction_id)
-        if kept is None:
+        with self._lock:
+            self._drop_expired()
+            kept = self._kept.get(reconstruction_id)
+            if kept is not None:
+                self.hits += 1
+                kept.expires = self._clock() + self._lifetime_s
+                self._kept.move_to_end(reconstruction_id)
+                return kept.item
             self.misses += 1
-            raise ReconstructionGone(
-                "No reconstruction is kept under this id, or no longer: send the depth frame or the shape again.",
-                field="reconstruction_id",
-                expected=f"an id used within {self._lifetime_s:g} s" if self._max_bytes else "none: nothing is kept",
-                actual=reconstruction_id[:80],
-            )
-        self.hits += 1
-        kept.expires = self._clock() + self._lifetime_s
-        self._kept.move_to_end(reconstruction_id)
-        return kept.item
+        raise ReconstructionGone(
+            "No reconstruction is kept under this id, or no longer: send the depth frame or the shape again.",
+            field="reconstruction_id",
+            expected=f"an id used within {self._lifetime_s:g} s" if self._max_bytes else "none: nothing is kept",
+            actual=reconstruction_id[:80],
+        )
 
     def _drop_expired(self) -> None:
         now = self._clock()

@@ -1,8 +1,8 @@
-"""A bounded queue in front of one worker thread: inference neither blocks the event loop nor competes with itself.
+"""A bounded queue in front of a few worker threads: inference neither blocks the event loop nor waits for itself.
 
-Two requests at once on the same cores finish later than one after the other, so there is one worker. What cannot be
-answered in time is refused before it costs anything: when the queue is full, and when the deadline has passed by the
-time the worker would start. A stream of frames has one place in the queue, in which the newest frame waits.
+An answer keeps one core busy, as its networks and loops are too small to share, so there is a worker for each core.
+What cannot be answered in time is refused before it costs anything: when the queue is full, and when the deadline has
+passed by the time a worker would start. A stream of frames has one place in the queue, in which the newest frame waits.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ SMOOTHING = 0.2
 
 @runtime_checkable
 class Predictor(Protocol):
-    """What the worker runs: `service.pipeline.Pipeline`."""
+    """What the workers run: `service.pipeline.Pipeline`."""
 
     def predict(self, request: DeformRequest) -> DeformResult:
-        """Answer one request, in the worker thread; raises errors of `service.core.errors`."""
+        """Answer one request, beside others in other threads; raises errors of `service.core.errors`."""
 
 
 class Overtaken(Exception):
@@ -47,7 +47,7 @@ class Overtaken(Exception):
 class Answer(Generic[Result]):
     """Attributes:
     result: What the worker returned.
-    queued_s: How long the request waited for the worker.
+    queued_s: How long the request waited for a worker.
     """
 
     result: Result
@@ -61,6 +61,8 @@ class _Job(Generic[Result]):
         self.loop = loop
         self.future: asyncio.Future[Answer[Result]] = loop.create_future()
         self.submitted = time.monotonic()
+        self.after: asyncio.Future[Any] | None = None
+        """Of the same stream, and begun before: its outcome is told first."""
 
     def settle(self, outcome: Answer[Result] | BaseException) -> None:
         """Hand the outcome to the event loop; nobody may be waiting for it any more."""
@@ -72,6 +74,10 @@ class _Job(Generic[Result]):
     def _settle_here(self, outcome: Answer[Result] | BaseException) -> None:
         if self.future.done():
             return
+        if self.after is not None and not self.after.done() and not isinstance(outcome, Overtaken):
+            self.after.add_done_callback(lambda _: self._settle_here(outcome))
+            return
+        self.after = None
         if isinstance(outcome, BaseException):
             self.future.set_exception(outcome)
         else:
@@ -79,27 +85,32 @@ class _Job(Generic[Result]):
 
 
 class Scheduler:
-    """First come, first served, by one dedicated thread.
+    """First come, first served, by dedicated threads.
 
     Args:
-        predictor: Runs in the worker thread only.
-        queue_size: Requests that may wait; the one being answered does not count.
+        predictor: Runs in all of them at once.
+        queue_size: Requests that may wait; those being answered do not count.
+        workers: Threads, and so requests that are answered at once.
     """
 
-    def __init__(self, predictor: Predictor, queue_size: int) -> None:
+    def __init__(self, predictor: Predictor, queue_size: int, workers: int = 1) -> None:
         self._predictor = predictor
         self._queue_size = queue_size
         self._waiting: deque[_Job[Any]] = deque()
         self._changed = threading.Condition()
         self._closed = False
-        self._busy = False
+        self._busy = 0
         self._mean_s = FIRST_GUESS_S
-        self._thread = threading.Thread(target=self._work, name="inference", daemon=True)
-        self._thread.start()
+        # Daemons: a prediction cannot be interrupted, and a stuck one does not hold up the exit.
+        self._threads = [
+            threading.Thread(target=self._work, name=f"inference-{i}", daemon=True) for i in range(workers)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     @property
     def queue_depth(self) -> int:
-        """Requests that wait for the worker."""
+        """Requests that wait for a worker."""
         return len(self._waiting)
 
     async def submit(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
@@ -107,7 +118,7 @@ class Scheduler:
         return await self.call(partial(self._predictor.predict, request), deadline)
 
     async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
-        """Do something in the worker thread. Cancelling the caller frees its place in the queue at once.
+        """Do something in a worker thread. Cancelling the caller frees its place in the queue at once.
 
         Args:
             work: What to do.
@@ -141,8 +152,8 @@ class Scheduler:
                 return True
             # Counted together: one that an idle worker is about to take holds no place in the queue.
             inside = len(self._waiting) + self._busy
-            if inside > self._queue_size:
-                retry_after_s = self._mean_s * inside
+            if inside >= self._queue_size + len(self._threads):
+                retry_after_s = self._mean_s * inside / len(self._threads)
                 raise Overloaded(
                     f"{inside} requests are being answered already; try again in {retry_after_s:.2f} s.",
                     retry_after_s=retry_after_s,
@@ -172,8 +183,9 @@ class Scheduler:
             self._changed.notify_all()
         for job in left:
             job.settle(Overloaded("The service is shutting down; try another one.", retry_after_s=1.0))
-        # A prediction cannot be interrupted; the thread is a daemon, so a stuck one does not hold up the exit.
-        self._thread.join(timeout=1.0)
+        gone = time.monotonic() + 1.0
+        for thread in self._threads:
+            thread.join(timeout=max(0.0, gone - time.monotonic()))
 
     def _work(self) -> None:
         while (job := self._next()) is not None:
@@ -182,7 +194,7 @@ class Scheduler:
             finished = time.monotonic()
             # The place is free before the caller hears of it, so that its next request finds it so.
             with self._changed:
-                self._busy = False
+                self._busy -= 1
                 if isinstance(outcome, Answer):
                     self._mean_s += SMOOTHING * (finished - started - self._mean_s)
                 self._changed.notify_all()
@@ -193,7 +205,7 @@ class Scheduler:
             self._changed.wait_for(lambda: self._waiting or self._closed)
             if not self._waiting:
                 return None
-            self._busy = True
+            self._busy += 1
             return self._waiting.popleft()
 
     def _outcome(self, job: _Job[Result], started: float) -> Answer[Result] | BaseException:
@@ -216,8 +228,8 @@ class Scheduler:
 class Place:
     """A stream's one place in the queue: what waits there gives way to what is newer, which keeps the place.
 
-    So a stream has at most one frame with the worker and one waiting, and however fast its frames come, it neither
-    crowds others out nor loses its turn.
+    So a stream has at most one frame waiting, and however fast its frames come, it neither crowds others out nor loses
+    its turn. Several workers may have one of its frames each; their answers are told in the order of the frames.
     """
 
     def __init__(self, scheduler: Scheduler) -> None:
@@ -233,7 +245,10 @@ class Place:
         """
         scheduler = self._scheduler
         job = _Job(partial(scheduler._predictor.predict, request), deadline, asyncio.get_running_loop())
+        if self._newest is not None:
+            job.after = self._newest.future
         if scheduler._enter(job, instead_of=self._newest) and self._newest is not None:
+            job.after = self._newest.after
             self._newest.settle(Overtaken())
         self._newest = job
         return job.future

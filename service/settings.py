@@ -24,7 +24,7 @@ def default_models_directory() -> Path:
 def available_cores() -> int:
     """Cores this process may really use: its CPU affinity, cut to the cgroup's quota, at least 1.
 
-    More threads than that make an ONNX Runtime session slower, not faster: they wait for each other while throttled.
+    More threads than that make answers slower, not faster: they wait for each other while throttled.
     """
     affinity = getattr(os, "sched_getaffinity", None)
     cores = len(affinity(0)) if affinity else os.cpu_count() or 1
@@ -73,7 +73,7 @@ class Settings(BaseSettings):
     """Most pushes in one request."""
 
     queue_size: int = Field(16, ge=1)
-    """Requests that may wait for the worker; further ones are refused at once with a time to try again."""
+    """Requests that may wait for a worker; further ones are refused at once with a time to try again."""
 
     reconstruction_bytes: int = Field(64 * 2**20, ge=0)
     """Memory for reconstructions that may be asked again by their id, about 2 MiB each; 0 keeps none."""
@@ -81,9 +81,12 @@ class Settings(BaseSettings):
     reconstruction_lifetime_s: float = Field(60.0, gt=0.0)
     """How long a reconstruction is kept after its last use, where the memory lasts."""
 
-    threads: int = Field(default_factory=lambda: max(1, available_cores() // 2), ge=1)
-    """Threads of each network's session; by default half the cores this process may use: networks this small gain
-    nothing from more, and the wires and the next frame want a core, too."""
+    workers: int = Field(default_factory=lambda: min(4, available_cores()), ge=1)
+    """Requests that are answered at once; by default one for each core this process may use, up to four: beyond that
+    they wait for Python's lock more than for cores."""
+
+    threads: int = Field(1, ge=1)
+    """Threads of each network's session. Networks this small gain nothing from more."""
 
     request_deadline_s: float = Field(10.0, gt=0.0)
     """Longest a request may take from its first byte to inference. Clients may ask for less, never for more."""

@@ -27,7 +27,7 @@ RESULTS = Path(__file__).resolve().parent / "results"
 
 def configurations(cores: int) -> dict[str, dict[str, Any]]:
     """What is compared, by name; the served one first."""
-    served = {"threads": max(1, cores // 2), "spin": "0", "stop": "0", "arena": True, "pattern": True}
+    served = {"threads": 1, "spin": "0", "stop": "0", "arena": True, "pattern": True}
     return {
         "served": served,
         "as many threads as cores": {**served, "threads": cores},

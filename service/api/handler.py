@@ -71,7 +71,7 @@ class Handler:
         span.stages(timing_ms)
 
     async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
-        """Do something else in the worker's turn; see `Scheduler.call`. Raises as `deform` does."""
+        """Do something else in a worker's turn; see `Scheduler.call`. Raises as `deform` does."""
         return await self._opened().call(work, deadline)
 
     def place(self) -> Place:

@@ -1,6 +1,6 @@
 """`/v1/live`: one WebSocket that follows a slider. A frame comes once, then only loads and materials; the newest wins.
 
-A message may be overtaken by a newer one while it waits for the worker; it is then answered `skipped` at once. Every
+A message may be overtaken by a newer one while it waits for a worker; it is then answered `skipped` at once. Every
 message has one answer. The reconstruction is kept between them, so that a push costs no more than its deformation.
 """
 

@@ -43,7 +43,7 @@ class State:
 
     Attributes:
         ready: Whether requests are answered.
-        queue_depth: Requests that wait for the worker.
+        queue_depth: Requests that wait for a worker.
         kept, kept_bytes: Reconstructions that may be asked again, and their memory.
         hits, misses: Questions to them since the start that found theirs, and that did not.
     """
@@ -130,7 +130,7 @@ class _StateCollector(Collector):
         state = self._state()
         for name, meaning, value in (
             ("ready", "1 while the models are loaded, warmed up and the service is not stopping.", state.ready),
-            ("queue_depth", "Requests that wait for the worker.", state.queue_depth),
+            ("queue_depth", "Requests that wait for a worker.", state.queue_depth),
             ("reconstructions_kept", "Reconstructions that may be asked again.", state.kept),
             ("reconstructions_kept_bytes", "Memory of the reconstructions that may be asked again.", state.kept_bytes),
         ):

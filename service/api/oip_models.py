@@ -43,7 +43,7 @@ class Model:
     """A model of the protocol.
 
     Attributes:
-        infer: From the inputs and the deadline to every output; runs in the worker's turn.
+        infer: From the inputs and the deadline to every output; runs in a worker's turn.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Models:
     """Every model that is served, by its name.
 
     Args:
-        handler: Gives the worker's turns.
+        handler: Gives the workers' turns.
         max_loads: Most loads, that is, elements of a free dimension of a network.
     """
 

@@ -1,6 +1,6 @@
 """A stream of frames in which the newest one wins.
 
-Frames are read as they come. One is with the worker at most, one waits at most (`service.scheduler.Place`); a newer
+Frames are read as they come. One waits at most (`service.scheduler.Place`); a newer
 frame takes the place of the one that waits, which is answered `skipped` at once. Every frame has one response.
 """
 

@@ -8,7 +8,7 @@ from service.commands.exits import EPILOG
 from service.commands.options import models_options, settings_of
 
 _SETTINGS = (
-    "host", "http_port", "grpc_port", "log_level", "log_format", "reconstruction_bytes", "reconstruction_lifetime_s",
+    "host", "http_port", "grpc_port", "workers", "log_level", "log_format", "reconstruction_bytes", "reconstruction_lifetime_s",
     "tracing_endpoint",
 )  # fmt: skip
 
@@ -23,6 +23,7 @@ def add_serve(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
     parser.add_argument("--host", help="address to listen on (PHYSNET_HOST)")
     parser.add_argument("--http-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_HTTP_PORT)")
     parser.add_argument("--grpc-port", type=int, metavar="PORT", help="0 picks a free one (PHYSNET_GRPC_PORT)")
+    parser.add_argument("--workers", type=int, metavar="N", help="requests answered at once (PHYSNET_WORKERS)")
     parser.add_argument("--log-level", choices=["debug", "info", "warning", "error"], help="(PHYSNET_LOG_LEVEL)")
     parser.add_argument("--log-format", choices=["text", "json"], help="for people or machines (PHYSNET_LOG_FORMAT)")
     parser.add_argument(

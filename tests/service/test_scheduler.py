@@ -1,4 +1,4 @@
-"""The queue in front of the worker: order, refusals, cancellation, shutdown, and that nothing kills the worker."""
+"""The queue in front of the workers: order, refusals, cancellation, shutdown, and that nothing kills a worker."""
 
 from __future__ import annotations
 
@@ -38,12 +38,13 @@ class Gate:
 
 
 def run(
-    test: Callable[[Scheduler, FakePredictor, Gate], Awaitable[None]], queue_size: int = 2, gate: Gate | None = None
-) -> FakePredictor:
+    test: Callable[[Scheduler, FakePredictor, Gate], Awaitable[None]], queue_size: int = 2, gate: Gate | None = None,
+    workers: int = 1,
+) -> FakePredictor:  # fmt: skip
     predictor = FakePredictor(gate) if gate else FakePredictor()
 
     async def main() -> None:
-        scheduler = Scheduler(predictor, queue_size)
+        scheduler = Scheduler(predictor, queue_size, workers)
         try:
             await test(scheduler, predictor, gate or Gate())
         finally:
@@ -69,7 +70,7 @@ def test_answers_come_from_one_thread_in_order_of_asking():
 
     predictor = run(test, queue_size=3, gate=Gate())
     assert [request.material.name for request in predictor.asked] == ["a", "b", "c"]
-    assert predictor.threads == {"inference"}
+    assert predictor.threads == {"inference-0"}
 
 
 def test_a_full_queue_refuses_with_a_time_to_come_back():
@@ -267,3 +268,71 @@ def test_leaving_gives_the_place_up_once_and_for_all():
         await running
 
     assert len(run(test, gate=Gate()).asked) == 1
+
+
+def test_each_worker_answers_one_at_a_time():
+    together = threading.Barrier(2, timeout=10)
+
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        # Neither passes the barrier unless both are inside at once.
+        predictor.react = lambda request: together.wait() and None
+        await asyncio.gather(*(scheduler.submit(ask(name), soon()) for name in "abcd"))
+
+    assert run(test, workers=2).threads == {"inference-0", "inference-1"}
+
+
+def test_those_being_answered_take_no_place_in_the_queue():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        accepted = [asyncio.create_task(scheduler.submit(ask(), soon())) for _ in range(3)]
+        await in_worker(gate)
+        with pytest.raises(Overloaded):
+            await scheduler.submit(ask("refused"), soon())
+        gate.open.set()
+        await asyncio.gather(*accepted)
+
+    assert len(run(test, queue_size=1, gate=Gate(), workers=2).asked) == 3
+
+
+def test_a_stream_is_answered_in_its_own_order_by_several_workers():
+    slow, told = threading.Event(), []
+
+    def react(request: DeformRequest) -> None:
+        if request.material.name == "a":
+            assert slow.wait(10)
+
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        predictor.react = react
+        place = scheduler.place()
+        futures = {}
+        for name in "abcd":
+            futures[name] = place.offer(ask(name), soon())
+            futures[name].add_done_callback(lambda _, name=name: told.append(name))
+            while scheduler.queue_depth:  # the second worker takes each, and is done with it long before the first
+                await asyncio.sleep(0.001)
+        other = scheduler.place()
+        await other.offer(ask("of another stream"), soon())
+        assert told == []
+        slow.set()
+        await asyncio.gather(*futures.values())
+
+    run(test, queue_size=4, workers=2)
+    assert told == ["a", "b", "c", "d"]
+
+
+def test_a_frame_that_is_overtaken_hears_of_it_before_those_being_answered_are_done():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        place = scheduler.place()
+        running = [place.offer(ask("a"), soon())]
+        await in_worker(gate)
+        running.append(place.offer(ask("b"), soon()))
+        while scheduler.queue_depth:
+            await asyncio.sleep(0.001)
+        waiting = place.offer(ask("c"), soon())
+        newest = place.offer(ask("d"), soon())
+        with pytest.raises(Overtaken):
+            await waiting
+        assert not any(future.done() for future in running)
+        gate.open.set()
+        await asyncio.gather(*running, newest)
+
+    assert sorted(request.material.name for request in run(test, gate=Gate(), workers=2).asked) == ["a", "b", "d"]
