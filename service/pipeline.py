@@ -59,8 +59,9 @@ class Body:
         occupancy: The body.
         flags: What the robot should know about it.
         crop: The depth image around it, in which later contacts are looked up; None for a known shape.
-        smooth: Smoothed occupancy of a known shape that is not answered in its own grid: its voxels tell its surface
-            better there than again in the body's.
+        smooth: What the deformed body is looked up in, where that tells more than the voxels of `occupancy`: the
+            probability of a reconstruction, whose doubt so goes on into the answer, or the smoothed occupancy of a
+            known shape that is not answered in its own grid.
     """
 
     grid: Grid
@@ -80,7 +81,8 @@ class Body:
     def nbytes(self) -> int:
         """Memory of its arrays."""
         depth_m = None if self.crop is None else self.crop.depth_m
-        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, self.smooth)
+        smooth = None if self.smooth is self.probability else self.smooth
+        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, smooth)
         return sum(array.nbytes for array in arrays if array is not None)
 
 
@@ -203,7 +205,7 @@ class Pipeline:
             observed = voxelize_points(found.points, grid)
             occupancy = cover(probability > cut, observed)
         crop = crop_around(found.pixels, depth_m, camera)
-        return Body(grid, observed, probability, occupancy, found.flags, crop), contacts
+        return Body(grid, observed, probability, occupancy, found.flags, crop, smooth=probability), contacts
 
     def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:
         """A known shape in its own grid or, where that does not serve, its body grid; contacts in the camera frame."""
