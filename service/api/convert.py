@@ -54,10 +54,22 @@ def deform_request(body: DeformBody, max_loads: int, files: Mapping[str, bytes] 
         source=_source(body, files),
         material=_material(body.material),
         loads=tuple(_load(load, f"loads[{index}]") for index, load in enumerate(body.loads)),
-        outputs=frozenset(body.outputs),
+        outputs=_outputs(body),
         threshold=body.threshold,
         uncertainty_samples=body.uncertainty_samples,
     )
+
+
+def _outputs(body: DeformBody) -> frozenset[str]:
+    outputs = frozenset(body.outputs)
+    if body.displacement_form == "grid" or "displacement" not in outputs:
+        return outputs
+    if "deformed" not in outputs:
+        raise InvalidRequest(
+            "Displacements at voxels are those of the deformed body, which says where they are.",
+            field="displacement_form", expected="`deformed` among the outputs",
+        )  # fmt: skip
+    return outputs - {"displacement"} | {"displacement_at_voxels"}
 
 
 def check_load_count(count: int, max_loads: int) -> None:

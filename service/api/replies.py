@@ -64,6 +64,11 @@ def _load_document(load: LoadResult, outputs: frozenset[str]) -> dict[str, Any]:
     if "displacement" in outputs:
         field = half_precision(load)
         document["displacement"] = {"encoding": "float16", "shape": list(field.shape), "data": _base64(field)}
+    if "displacement_at_voxels" in outputs:
+        moved = half_precision_at_voxels(load)
+        document["displacement_at_voxels"] = {
+            "encoding": "float16", "shape": list(moved.shape), "data": _base64(moved)
+        }  # fmt: skip
     document["max_displacement_m"] = load.max_displacement_m
     document["mean_displacement_m"] = load.mean_displacement_m
     document["load_number"] = load.load_number
@@ -88,7 +93,12 @@ def levels(probability: np.ndarray) -> np.ndarray:
 def half_precision(load: LoadResult) -> np.ndarray:
     """Its displacement field as both wires send it: little-endian half precision, metres."""
     # rounded before it becomes a grid, nearly all of which is zero
-    return load.as_grid(load.moved_m.astype("<f2"))
+    return load.as_grid(half_precision_at_voxels(load))
+
+
+def half_precision_at_voxels(load: LoadResult) -> np.ndarray:
+    """The same at the voxels of the deformed body, 3 × n, in C order."""
+    return load.moved_m.astype("<f2")
 
 
 def _base64(array: np.ndarray) -> str:
@@ -107,6 +117,7 @@ def reply_npz(
 
     `voxel_size_m` and `camera_from_grid`; where asked for `observed`, `reconstruction` (bool 64³), `deformed`
     (bool n×64³), `reconstruction_probability` and `probability` (float16), `displacement_m` (float16 n×3×64³);
+    or `displacement_at_voxels_m` (float16 3×m, the m voxels set in `deformed` in C order, load after load);
     `max_displacement_m`, `mean_displacement_m`, `load_number` (n); `scene` (bytes of a binary glTF); the rest as JSON
     in the string `meta`.
     """
@@ -138,6 +149,9 @@ def reply_npz(
         arrays["probability"] = np.stack([load.probability.astype(np.float16) for load in result.loads])
     if "displacement" in outputs:
         arrays["displacement_m"] = np.stack([half_precision(load) for load in result.loads])
+    if "displacement_at_voxels" in outputs:
+        moved = [half_precision_at_voxels(load) for load in result.loads]
+        arrays["displacement_at_voxels_m"] = np.concatenate(moved, axis=1)
     if "scene" in outputs:
         arrays["scene"] = np.frombuffer(scene_glb(result), np.uint8)
     return npz_bytes(arrays)

@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from service.api.generated import deformation_pb2 as pb
 from service.api.problem import ValidationFailed, problem_document, validation_failed
-from service.api.replies import half_precision, levels
+from service.api.replies import half_precision, half_precision_at_voxels, levels
 from service.api.scene import scene_glb
 from service.api.schemas import DeformBody
 from service.api.status import status_of
@@ -40,6 +40,11 @@ _DEPTH_ENCODINGS: Mapping[int, str] = {
     pb.DEPTH_ENCODING_COMPRESSED_DEPTH: "compressedDepth",
 }
 _MASK_ENCODINGS: Mapping[int, str] = {pb.MASK_ENCODING_UNSPECIFIED: "png8", pb.MASK_ENCODING_PNG8: "png8"}
+_DISPLACEMENT_FORMS: Mapping[int, str] = {
+    pb.DISPLACEMENT_FORM_UNSPECIFIED: "grid",
+    pb.DISPLACEMENT_FORM_GRID: "grid",
+    pb.DISPLACEMENT_FORM_VOXELS: "voxels",
+}
 _OUTPUTS = ("reconstruction", "deformed", "probability", "displacement", "scene")
 
 
@@ -57,6 +62,7 @@ def parse_request(message: pb.DeformRequest, max_loads: int) -> DeformBody:
     body: dict[str, Any] = {
         "loads": [_load(load) for load in message.loads[: max_loads + 1]],
         "uncertainty_samples": message.uncertainty_samples,
+        "displacement_form": _DISPLACEMENT_FORMS.get(message.displacement_form, str(message.displacement_form)),
     }
     for name, translate in _PARTS.items():
         if message.HasField(name):
@@ -172,6 +178,9 @@ def _tell_load(answer: pb.LoadResult, load: LoadResult, outputs: frozenset[str])
         answer.probability.levels = _bytes(levels(load.probability))
     if "displacement" in outputs:
         answer.displacement.float16_m = _bytes(half_precision(load))
+    if "displacement_at_voxels" in outputs:
+        answer.displacement_at_voxels.count = load.moved_m.shape[1]
+        answer.displacement_at_voxels.float16_m = _bytes(half_precision_at_voxels(load))
 
 
 def _bytes(array: np.ndarray) -> bytes:

@@ -129,6 +129,11 @@ class DeformBody(_Request):
     outputs: list[Output] = Field(
         default=["reconstruction", "deformed"], description="Which grids and fields the reply carries."
     )
+    displacement_form: Literal["grid", "voxels"] = Field(
+        "grid",
+        description="How displacements travel: `grid`, on all voxels, or `voxels`, on those of the deformed body "
+        "alone, a thirtieth of the bytes; then `deformed`, which says where they are, must be among the outputs.",
+    )
     threshold: float | None = Field(
         None,
         gt=0.0,
@@ -179,6 +184,14 @@ class DisplacementReply(BaseModel):
     data: str = Field(description="Base64.")
 
 
+class DisplacementAtVoxelsReply(BaseModel):
+    """The same at the n voxels set in `deformed` alone, in the order in which they are set there."""
+
+    encoding: Literal["float16"] = Field(description="Little-endian half precision.")
+    shape: tuple[int, int] = Field(description="[3, n]: axis, voxel.")
+    data: str = Field(description="Base64.")
+
+
 class SceneReply(BaseModel):
     """The surfaces, metres in the camera's frame: nodes `reconstruction` and `load <i>`, coloured by displacement."""
 
@@ -192,6 +205,9 @@ class LoadReply(BaseModel):
     deformed: BitsReply | None = None
     probability: ProbabilityReply | None = None
     displacement: DisplacementReply | None = None
+    displacement_at_voxels: DisplacementAtVoxelsReply | None = Field(
+        None, description="In place of `displacement` where `displacement_form` is `voxels`."
+    )
     max_displacement_m: float = Field(description="Largest displacement over the deformed body.")
     mean_displacement_m: float
     load_number: float = Field(description="F / (E L²), L the edge of the grid.")

@@ -1,7 +1,8 @@
-"""The displacement of single points, from the field that the reply carries on the voxels of the deformed body."""
+"""The displacement field of a reply, on the voxels of the deformed body, and what it says of single points."""
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -21,6 +22,46 @@ _CHUNK = 256
 """Points that are held against the same voxels at once: 256 × 20,000 floats are 20 MB."""
 
 _CORNERS = np.stack(np.unravel_index(np.arange(8), (2, 2, 2)), axis=1)
+
+
+class DisplacementField:
+    """How far the material now at each voxel of a deformed body has come: half precision, metres, grid axes.
+
+    Kept in the form in which it travelled; the other one is made where it is asked for.
+
+    Args:
+        travelled_m: On all voxels, 3 × 64³, or 3 × n on those of `deformed` alone, in C order.
+        deformed: The body after the push; needed for the second form, and to have it.
+
+    Raises:
+        ValueError: It is neither.
+    """
+
+    def __init__(self, travelled_m: np.ndarray, deformed: Occupancy | None) -> None:
+        if travelled_m.shape != (3, *(GRID_SIZE,) * 3) and (
+            deformed is None or travelled_m.shape != (3, np.count_nonzero(deformed))
+        ):
+            raise ValueError(f"displacements of shape {travelled_m.shape} are not those of the body beside them")
+        self._travelled_m = travelled_m
+        self._deformed = deformed
+
+    @cached_property
+    def grid_m(self) -> np.ndarray:
+        """3 × 64³, zero outside the body."""
+        if self._travelled_m.ndim == 4:
+            return self._travelled_m
+        assert self._deformed is not None
+        grid_m = np.zeros((3, GRID_SIZE**3), self._travelled_m.dtype)
+        grid_m[:, np.flatnonzero(self._deformed)] = self._travelled_m
+        return grid_m.reshape(3, *(GRID_SIZE,) * 3)
+
+    @cached_property
+    def at_voxels_m(self) -> np.ndarray:
+        """3 × n, in the order in which voxels are set in `deformed`, C order."""
+        if self._travelled_m.ndim == 2:
+            return self._travelled_m
+        assert self._deformed is not None
+        return self._travelled_m[:, self._deformed]
 
 
 def displacement_at(

@@ -15,7 +15,7 @@ from google.rpc import status_pb2
 from service.api.generated import deformation_pb2 as pb
 from service.client.errors import ServiceUnreachable, UnexpectedReply, problem_error, timed_out
 from service.client.frames import Answer, Frame
-from service.client.http_wire import displacement_from, occupancy_from, probability_from
+from service.client.http_wire import at_voxels, displacement_from, occupancy_from, probability_from
 from service.client.question import Camera, Earlier, Image, Push, Question, Shape, triple
 from service.client.result import PushResult, Result
 from service.core.errors import PhysNetError
@@ -56,6 +56,8 @@ def encode(question: Question) -> pb.DeformRequest:
         outputs=pb.Outputs(**dict.fromkeys(question.outputs, True)),
         uncertainty_samples=question.uncertainty_samples,
         threshold=question.threshold,
+        # A service that does not know of it answers in the grid, a thirty times larger reply.
+        displacement_form=pb.DISPLACEMENT_FORM_VOXELS if at_voxels(question) else pb.DISPLACEMENT_FORM_GRID,
     )
     if isinstance(question.material, str):
         request.material.name = question.material
@@ -141,11 +143,17 @@ def result(response: pb.DeformResponse) -> Result:
 
 
 def _push_result(load: pb.LoadResult, grid: Grid) -> PushResult:
+    deformed = occupancy_from(load.deformed.bits) if load.HasField("deformed") else None
+    travelled = None
+    if load.HasField("displacement_at_voxels"):
+        travelled = load.displacement_at_voxels.float16_m
+    elif load.HasField("displacement"):
+        travelled = load.displacement.float16_m
     return PushResult(
         grid=grid,
-        occupancy=occupancy_from(load.deformed.bits) if load.HasField("deformed") else None,
+        occupancy=deformed,
         probability=probability_from(load.probability.levels) if load.HasField("probability") else None,
-        displacement_m=displacement_from(load.displacement.float16_m) if load.HasField("displacement") else None,
+        displacement=None if travelled is None else displacement_from(travelled, deformed),
         max_displacement_m=load.max_displacement_m,
         mean_displacement_m=load.mean_displacement_m,
         load_number=load.load_number,

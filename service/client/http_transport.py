@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from service.client.errors import ServiceUnreachable, timed_out
 from service.client.question import Question
 from service.client.result import Result
 from service.client.transport import NamedMaterial, named_materials
-from service.core.errors import PhysNetError
+from service.core.errors import InvalidRequest, PhysNetError
 
 try:
     import httpx
@@ -28,11 +29,22 @@ class HttpTransport:
     """Blocking."""
 
     def __init__(self, url: str, token: str | None) -> None:
+        self._small = True  # until a service is found not to know of it
         self._http = httpx.Client(base_url=url, headers=_headers(token), limits=_LIMITS, verify=_tls(url))
 
     def deform(self, question: Question, timeout_s: float) -> Result:
         """POST /v1/deform."""
-        headers, content = http_wire.encode(question)
+        ends = time.monotonic() + timeout_s
+        try:
+            return self._deform(question, timeout_s)
+        except InvalidRequest as error:
+            if not http_wire.knows_only_grids(error):
+                raise
+        self._small = False
+        return self._deform(question, ends - time.monotonic())
+
+    def _deform(self, question: Question, timeout_s: float) -> Result:
+        headers, content = http_wire.encode(question, self._small)
         headers |= _deadline(timeout_s)
         return http_wire.result(self._ask("POST", "/v1/deform", timeout_s, content=content, headers=headers))
 
@@ -60,11 +72,22 @@ class AsyncHttpTransport:
     """For asyncio."""
 
     def __init__(self, url: str, token: str | None) -> None:
+        self._small = True
         self._http = httpx.AsyncClient(base_url=url, headers=_headers(token), limits=_LIMITS, verify=_tls(url))
 
     async def deform(self, question: Question, timeout_s: float) -> Result:
         """POST /v1/deform."""
-        headers, content = http_wire.encode(question)
+        ends = time.monotonic() + timeout_s
+        try:
+            return await self._deform(question, timeout_s)
+        except InvalidRequest as error:
+            if not http_wire.knows_only_grids(error):
+                raise
+        self._small = False
+        return await self._deform(question, ends - time.monotonic())
+
+    async def _deform(self, question: Question, timeout_s: float) -> Result:
+        headers, content = http_wire.encode(question, self._small)
         headers |= _deadline(timeout_s)
         return http_wire.result(await self._ask("POST", "/v1/deform", timeout_s, content=content, headers=headers))
 

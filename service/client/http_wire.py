@@ -6,12 +6,13 @@ import base64
 import json
 import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from email.utils import parsedate_to_datetime
 from typing import Any
 
 import numpy as np
 
+from service.client.displacement import DisplacementField
 from service.client.errors import ServiceUnreachable, UnexpectedReply, problem_error
 from service.client.question import Camera, Earlier, Image, Push, Question, Shape, triple
 from service.client.result import PushResult, Result
@@ -26,14 +27,16 @@ _BROKEN_GATEWAY = (502, 503, 504)
 # --- questions --------------------------------------------------------------------------------------------------
 
 
-def body(question: Question) -> dict[str, Any]:
-    """The request as JSON, images apart."""
+def body(question: Question, small: bool = True) -> dict[str, Any]:
+    """The request as JSON, images apart; `small` asks for displacements at voxels alone."""
     document: dict[str, Any] = {
         "material": _material(question.material),
         "loads": [_push(push) for push in question.pushes],
         "outputs": list(question.outputs),
         "uncertainty_samples": question.uncertainty_samples,
     }
+    if small and at_voxels(question):
+        document["displacement_form"] = "voxels"
     if question.camera is not None:
         document["camera"] = _camera(question.camera)
     match question.source:
@@ -57,9 +60,19 @@ def files(question: Question) -> dict[str, bytes]:
     return parts if question.mask is None else parts | {"mask": question.mask.data}
 
 
-def encode(question: Question) -> tuple[dict[str, str], bytes]:
+def at_voxels(question: Question) -> bool:
+    """Whether displacements can travel at the voxels of the deformed body alone, which says where they are."""
+    return "displacement" in question.outputs and "deformed" in question.outputs
+
+
+def knows_only_grids(refused: PhysNetError) -> bool:
+    """Whether a service refused because it is older than displacements at voxels."""
+    return refused.field == "displacement_form"
+
+
+def encode(question: Question, small: bool = True) -> tuple[dict[str, str], bytes]:
     """Headers and content of the request: a form with the images as they are, JSON where there are none."""
-    document = json.dumps(body(question)).encode()
+    document = json.dumps(body(question, small)).encode()
     images = files(question)
     if not images:
         return {"Content-Type": "application/json"}, document
@@ -176,14 +189,13 @@ def result(document: Mapping[str, Any]) -> Result:
 
 
 def _push_result(load: Mapping[str, Any], grid: Grid) -> PushResult:
-    field = None
-    if "displacement" in load:
-        field = displacement_from(base64.b64decode(load["displacement"]["data"]))
+    deformed = _bits(load, "deformed")
+    travelled = load.get("displacement_at_voxels", load.get("displacement"))
     return PushResult(
         grid=grid,
-        occupancy=_bits(load, "deformed"),
+        occupancy=deformed,
         probability=_levels(load, "probability"),
-        displacement_m=field,
+        displacement=travelled and displacement_from(base64.b64decode(travelled["data"]), deformed),
         max_displacement_m=load["max_displacement_m"],
         mean_displacement_m=load["mean_displacement_m"],
         load_number=load["load_number"],
@@ -209,6 +221,15 @@ def probability_from(data: bytes) -> Probability:
     return np.frombuffer(data, np.uint8).reshape((GRID_SIZE,) * 3) / np.float32(255.0)
 
 
-def displacement_from(data: bytes | Sequence[int]) -> np.ndarray:
-    """The field from the half-precision metres that travel; a view of them."""
-    return np.frombuffer(bytes(data), "<f2").reshape(3, *(GRID_SIZE,) * 3)
+def displacement_from(data: bytes, deformed: Occupancy | None) -> DisplacementField:
+    """The field from the half-precision metres that travel, in either form; a view of them.
+
+    Raises:
+        UnexpectedReply: They are not those of the deformed body.
+    """
+    travelled_m = np.frombuffer(data, "<f2")
+    on_grid = travelled_m.size == 3 * GRID_SIZE**3
+    try:
+        return DisplacementField(travelled_m.reshape((3, *(GRID_SIZE,) * 3) if on_grid else (3, -1)), deformed)
+    except ValueError as error:
+        raise UnexpectedReply(f"The reply is not that of a PhysNet service: {error}") from error

@@ -5,16 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Literal, TypeAlias, TypeVar
 
 import numpy as np
 
-from service.client.displacement import Configuration, displacement_at
+from service.client.displacement import Configuration, DisplacementField, displacement_at
 from service.client.question import Earlier
 from service.core.arrays import Occupancy, Points, Probability
 from service.core.grids import Grid, transform_points
 from service.core.surface_mesh import Faces, surface_mesh
 
+Found = TypeVar("Found")
 Layer: TypeAlias = Literal["observed", "reconstruction", "deformed"]
 
 
@@ -46,8 +47,7 @@ class PushResult:
         grid: Where the grids sit.
         occupancy: The deformed body.
         probability: Behind it, in steps of 1/255.
-        displacement_m: At each voxel of the deformed body, how far the material now there has come: grid axes, half
-            precision as it travelled; zero outside.
+        displacement: At each voxel of the deformed body, how far the material now there has come.
         max_displacement_m, mean_displacement_m: Over the deformed body.
         load_number: F/(E L²), L the edge of the grid.
         flags: What to know about this answer.
@@ -56,7 +56,7 @@ class PushResult:
     grid: Grid
     occupancy: Occupancy | None
     probability: Probability | None
-    displacement_m: np.ndarray | None
+    displacement: DisplacementField | None
     max_displacement_m: float
     mean_displacement_m: float
     load_number: float
@@ -77,6 +77,21 @@ class PushResult:
         """
         return _need(self.occupancy, "deformed")
 
+    @property
+    def displacement_m(self) -> np.ndarray | None:
+        """`displacement` as a field, 3 × 64³: grid axes, half precision as it travelled; zero outside the body."""
+        return None if self.displacement is None else self.displacement.grid_m
+
+    @property
+    def moved_m(self) -> np.ndarray:
+        """`displacement` of each voxel of `deformed`, 3 × n in the order of `points_camera()`; grid axes.
+
+        Raises:
+            NotInReply: `displacement` or `deformed` was not asked for.
+        """
+        _need(self.occupancy, "deformed")
+        return _need(self.displacement, "displacement").at_voxels_m
+
     def points_camera(self) -> Points:
         """Centres of the deformed body's voxels, camera frame, metres."""
         return _centres(self.deformed, self.grid)
@@ -96,7 +111,7 @@ class PushResult:
         Raises:
             NotInReply: `displacement` was not asked for.
         """
-        field_m = _need(self.displacement_m, "displacement")
+        field_m = _need(self.displacement, "displacement").grid_m
         points = np.asarray(points_m, np.float32).reshape(-1, 3)
         places = np.isfinite(points).all(axis=1)
         found = displacement_at(transform_points(self.grid.grid_from_camera, points[places]), self.deformed, field_m,
@@ -187,7 +202,7 @@ class Result:
     @property
     def displacement_m(self) -> np.ndarray:
         """Displacement of the first push, 3 × 64³, grid axes."""
-        return _need(self[0].displacement_m, "displacement")
+        return _need(self[0].displacement, "displacement").grid_m
 
     @property
     def max_displacement_m(self) -> float:
@@ -232,7 +247,7 @@ def _flagged(flags: frozenset[str]) -> str:
     return f" [{', '.join(sorted(flags))}]" if flags else ""
 
 
-def _need(found: np.ndarray | None, output: str) -> np.ndarray:
+def _need(found: Found | None, output: str) -> Found:
     if found is None:
         raise NotInReply(f"the reply does not carry this: ask for {output!r} in `outputs`")
     return found

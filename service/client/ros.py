@@ -125,7 +125,7 @@ def point_cloud_of(
     """
     names = ["x", "y", "z"]
     columns: list[np.ndarray] = [result.points_camera(layer, push)]
-    if layer == "deformed" and result[push].displacement_m is not None:
+    if layer == "deformed" and result[push].displacement is not None:
         names.append("displacement")
         columns.append(voxel_displacements_m(result, push)[:, None])
     rows = np.ascontiguousarray(np.hstack(columns), "<f4")
@@ -151,6 +151,4 @@ def triangles_of(result: Result, layer: Layer = "deformed", push: int = 0) -> Po
 
 def voxel_displacements_m(result: Result, push: int = 0) -> np.ndarray:
     """How far the material at each voxel of the deformed body has come, in the order of `points_camera`."""
-    field_m = result[push].displacement_m
-    assert field_m is not None
-    return np.asarray(np.linalg.norm(field_m[:, result[push].deformed].astype(np.float32), axis=0))
+    return np.asarray(np.linalg.norm(result[push].moved_m.astype(np.float32), axis=0))

@@ -100,7 +100,7 @@ class DeformRequest:
     source: A depth frame, a shape that is known, or what an earlier answer reconstructed.
     material: Young's modulus and Poisson's ratio.
     loads: One or more pushes, each answered on its own.
-    outputs: Any of `reconstruction`, `deformed`, `probability`, `displacement`.
+    outputs: Any of `reconstruction`, `deformed`, `probability`, `displacement`, `displacement_at_voxels`, `scene`.
     threshold: Occupancy probability above which a voxel counts as filled; None for the models' own. An earlier
         reconstruction stays as it is: there it is of the deformed shapes alone.
     uncertainty_samples: Number of latent samples behind the probabilities; 0 for the mean alone.

@@ -41,6 +41,7 @@ def test_the_programs_of_the_http_page(live_service: LiveService) -> None:
         asked += [(name, names[name]) for name in ("request", "again") if re.search(rf"^{name} = ", program, re.M)]
     assert names["deformed"].shape == (64, 64, 64)
     assert abs(names["now"] - names["before"]).max() > 1e-4
+    assert abs(names["field_m"][:, names["deformed"]]).max() > 1e-4
     assert [name for name, _ in asked] == ["request", "request", "again"]
     for name, body in asked[1:]:
         reply = httpx.post(f"{live_service.url}/v1/deform", json=body, timeout=30)
@@ -58,6 +59,7 @@ def test_the_programs_of_the_grpc_page(live_service: LiveService) -> None:
     assert names["deformed"].any()
     soft, first = names["softer"].loads[0], names["response"].loads[0]
     assert soft.load_number != first.load_number
+    assert names["moved_m"].shape == (3, names["deformed"].sum()) and abs(names["moved_m"]).max() > 1e-4
     assert names["problem"].code == "invalid_request"
 
 

@@ -89,7 +89,10 @@ class Running:
 def running(
     predictor: FakePredictor, build: Callable[[], None] = lambda: None, **settings: object
 ) -> Iterator[Running]:
-    """The real application around a fake predictor, in a thread of its own; `build` runs where models would load."""
+    """The real application around a fake predictor, in a thread of its own; `build` runs where models would load.
+
+    It has one worker unless asked for more, so that what waits behind what is the same on every machine.
+    """
     lines: list[str] = []
     announced = threading.Event()
     started = threading.Event()
@@ -108,7 +111,8 @@ def running(
         state["loop"], state["stop"] = asyncio.get_running_loop(), stop
         started.set()
         try:
-            return await serve(Settings(**{"http_port": 0, "grpc_port": 0} | settings), make, stop, announce)  # type: ignore[arg-type]
+            chosen = Settings(**{"http_port": 0, "grpc_port": 0, "workers": 1} | settings)  # type: ignore[arg-type]
+            return await serve(chosen, make, stop, announce)
         finally:
             announced.set()
 

@@ -46,6 +46,8 @@ def message(body: Mapping[str, Any]) -> pb.DeformRequest:
                 request.roi.CopyFrom(pb.Region(u=u, v=v, width=width, height=height))
             case "loads", _:
                 request.loads.extend(_load(load) for load in value)
+            case "displacement_form", _:
+                request.displacement_form = pb.DisplacementForm.Value(f"DISPLACEMENT_FORM_{value.upper()}")
             case "outputs", _:
                 request.outputs.CopyFrom(pb.Outputs(**dict.fromkeys(value, True)))
             case _:
@@ -124,7 +126,7 @@ def document(response: pb.DeformResponse) -> dict[str, Any]:
             name: getattr(load, name) for name in ("max_displacement_m", "mean_displacement_m", "load_number")
         }
         answer["flags"] = list(load.flags)
-        for name in ("deformed", "probability", "displacement"):
+        for name in ("deformed", "probability", "displacement", "displacement_at_voxels"):
             if load.HasField(name):
                 answer[name] = _grid(getattr(load, name))
         found["loads"].append(answer)
@@ -137,6 +139,8 @@ def _grid(grid: Any) -> dict[str, Any]:
             return {"encoding": "bits", "data": _b64(grid.bits)}
         case pb.ProbabilityGrid():
             return {"encoding": "uint8", "shape": [64] * 3, "data": _b64(grid.levels)}
+        case pb.DisplacementAtVoxels():
+            return {"encoding": "float16", "shape": [3, grid.count], "data": _b64(grid.float16_m)}
     return {"encoding": "float16", "shape": [3, 64, 64, 64], "data": _b64(grid.float16_m)}
 
 

@@ -20,6 +20,12 @@ class MaskEncoding(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     MASK_ENCODING_UNSPECIFIED: _ClassVar[MaskEncoding]
     MASK_ENCODING_PNG8: _ClassVar[MaskEncoding]
+
+class DisplacementForm(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    DISPLACEMENT_FORM_UNSPECIFIED: _ClassVar[DisplacementForm]
+    DISPLACEMENT_FORM_GRID: _ClassVar[DisplacementForm]
+    DISPLACEMENT_FORM_VOXELS: _ClassVar[DisplacementForm]
 DEPTH_ENCODING_UNSPECIFIED: DepthEncoding
 DEPTH_ENCODING_PNG16: DepthEncoding
 DEPTH_ENCODING_NPY: DepthEncoding
@@ -28,9 +34,12 @@ DEPTH_ENCODING_32FC1: DepthEncoding
 DEPTH_ENCODING_COMPRESSED_DEPTH: DepthEncoding
 MASK_ENCODING_UNSPECIFIED: MaskEncoding
 MASK_ENCODING_PNG8: MaskEncoding
+DISPLACEMENT_FORM_UNSPECIFIED: DisplacementForm
+DISPLACEMENT_FORM_GRID: DisplacementForm
+DISPLACEMENT_FORM_VOXELS: DisplacementForm
 
 class DeformRequest(_message.Message):
-    __slots__ = ("camera", "depth", "mask", "up", "roi", "shape", "material", "loads", "outputs", "threshold", "uncertainty_samples", "reconstruction_id")
+    __slots__ = ("camera", "depth", "mask", "up", "roi", "shape", "material", "loads", "outputs", "threshold", "uncertainty_samples", "reconstruction_id", "displacement_form")
     CAMERA_FIELD_NUMBER: _ClassVar[int]
     DEPTH_FIELD_NUMBER: _ClassVar[int]
     MASK_FIELD_NUMBER: _ClassVar[int]
@@ -43,6 +52,7 @@ class DeformRequest(_message.Message):
     THRESHOLD_FIELD_NUMBER: _ClassVar[int]
     UNCERTAINTY_SAMPLES_FIELD_NUMBER: _ClassVar[int]
     RECONSTRUCTION_ID_FIELD_NUMBER: _ClassVar[int]
+    DISPLACEMENT_FORM_FIELD_NUMBER: _ClassVar[int]
     camera: Camera
     depth: DepthImage
     mask: MaskImage
@@ -55,7 +65,8 @@ class DeformRequest(_message.Message):
     threshold: float
     uncertainty_samples: int
     reconstruction_id: str
-    def __init__(self, camera: _Optional[_Union[Camera, _Mapping]] = ..., depth: _Optional[_Union[DepthImage, _Mapping]] = ..., mask: _Optional[_Union[MaskImage, _Mapping]] = ..., up: _Optional[_Union[Vector3, _Mapping]] = ..., roi: _Optional[_Union[Region, _Mapping]] = ..., shape: _Optional[_Union[KnownShape, _Mapping]] = ..., material: _Optional[_Union[Material, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[Load, _Mapping]]] = ..., outputs: _Optional[_Union[Outputs, _Mapping]] = ..., threshold: _Optional[float] = ..., uncertainty_samples: _Optional[int] = ..., reconstruction_id: _Optional[str] = ...) -> None: ...
+    displacement_form: DisplacementForm
+    def __init__(self, camera: _Optional[_Union[Camera, _Mapping]] = ..., depth: _Optional[_Union[DepthImage, _Mapping]] = ..., mask: _Optional[_Union[MaskImage, _Mapping]] = ..., up: _Optional[_Union[Vector3, _Mapping]] = ..., roi: _Optional[_Union[Region, _Mapping]] = ..., shape: _Optional[_Union[KnownShape, _Mapping]] = ..., material: _Optional[_Union[Material, _Mapping]] = ..., loads: _Optional[_Iterable[_Union[Load, _Mapping]]] = ..., outputs: _Optional[_Union[Outputs, _Mapping]] = ..., threshold: _Optional[float] = ..., uncertainty_samples: _Optional[int] = ..., reconstruction_id: _Optional[str] = ..., displacement_form: _Optional[_Union[DisplacementForm, str]] = ...) -> None: ...
 
 class Camera(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy", "width", "height", "distortion")
@@ -240,8 +251,16 @@ class DisplacementField(_message.Message):
     float16_m: bytes
     def __init__(self, float16_m: _Optional[bytes] = ...) -> None: ...
 
+class DisplacementAtVoxels(_message.Message):
+    __slots__ = ("count", "float16_m")
+    COUNT_FIELD_NUMBER: _ClassVar[int]
+    FLOAT16_M_FIELD_NUMBER: _ClassVar[int]
+    count: int
+    float16_m: bytes
+    def __init__(self, count: _Optional[int] = ..., float16_m: _Optional[bytes] = ...) -> None: ...
+
 class LoadResult(_message.Message):
-    __slots__ = ("deformed", "probability", "displacement", "max_displacement_m", "mean_displacement_m", "load_number", "flags")
+    __slots__ = ("deformed", "probability", "displacement", "max_displacement_m", "mean_displacement_m", "load_number", "flags", "displacement_at_voxels")
     DEFORMED_FIELD_NUMBER: _ClassVar[int]
     PROBABILITY_FIELD_NUMBER: _ClassVar[int]
     DISPLACEMENT_FIELD_NUMBER: _ClassVar[int]
@@ -249,6 +268,7 @@ class LoadResult(_message.Message):
     MEAN_DISPLACEMENT_M_FIELD_NUMBER: _ClassVar[int]
     LOAD_NUMBER_FIELD_NUMBER: _ClassVar[int]
     FLAGS_FIELD_NUMBER: _ClassVar[int]
+    DISPLACEMENT_AT_VOXELS_FIELD_NUMBER: _ClassVar[int]
     deformed: OccupancyGrid
     probability: ProbabilityGrid
     displacement: DisplacementField
@@ -256,7 +276,8 @@ class LoadResult(_message.Message):
     mean_displacement_m: float
     load_number: float
     flags: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, deformed: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., probability: _Optional[_Union[ProbabilityGrid, _Mapping]] = ..., displacement: _Optional[_Union[DisplacementField, _Mapping]] = ..., max_displacement_m: _Optional[float] = ..., mean_displacement_m: _Optional[float] = ..., load_number: _Optional[float] = ..., flags: _Optional[_Iterable[str]] = ...) -> None: ...
+    displacement_at_voxels: DisplacementAtVoxels
+    def __init__(self, deformed: _Optional[_Union[OccupancyGrid, _Mapping]] = ..., probability: _Optional[_Union[ProbabilityGrid, _Mapping]] = ..., displacement: _Optional[_Union[DisplacementField, _Mapping]] = ..., max_displacement_m: _Optional[float] = ..., mean_displacement_m: _Optional[float] = ..., load_number: _Optional[float] = ..., flags: _Optional[_Iterable[str]] = ..., displacement_at_voxels: _Optional[_Union[DisplacementAtVoxels, _Mapping]] = ...) -> None: ...
 
 class DeformStreamRequest(_message.Message):
     __slots__ = ("frame_id", "request", "deadline_ms")

@@ -83,7 +83,7 @@ def ply(result: Result, layer: Layer = "deformed", push: int = 0) -> bytes:
     """The surface of a layer, camera frame, metres; of a deformed body with the displacement that brought it there."""
     mesh = result.mesh(layer, push)
     moved = None
-    if layer == "deformed" and result[push].displacement_m is not None:
+    if layer == "deformed" and result[push].displacement is not None:
         moved = np.nan_to_num(result.displacement_at(mesh.vertices_m, "deformed", push))
     return encode_ply(mesh.vertices_m, mesh.faces, moved)
 

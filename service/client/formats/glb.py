@@ -23,7 +23,7 @@ def encode_glb(result: Result) -> bytes:
     for number, push in enumerate(result):
         mesh = push.mesh()
         moved_m = np.zeros(len(mesh.vertices_m), np.float32)
-        if push.displacement_m is not None:
+        if push.displacement is not None:
             moved_m = np.linalg.norm(push.displacement_at(mesh.vertices_m, "deformed"), axis=1)
         extras = {
             "max_displacement_m": push.max_displacement_m,

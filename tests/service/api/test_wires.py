@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -69,6 +71,10 @@ ANSWERED: dict[str, Callable[[], dict[str, Any]]] = {
     ),
     "distortion": lambda: SCENE.request(camera=SCENE.camera | {"distortion": [0.01, 0.0, 0.0, 0.0]}),
     "all outputs": lambda: SCENE.request(outputs=["reconstruction", "deformed", "probability", "displacement"]),
+    "displacements at voxels": lambda: SCENE.request(
+        outputs=["deformed", "displacement"], displacement_form="voxels", loads=[LOAD, LOAD | {"force_n": [0, 0, 0]}],
+    ),
+    "displacements on the grid": lambda: SCENE.request(outputs=["displacement"], displacement_form="grid"),
     "numbers only": lambda: SCENE.request(outputs=[]),
     "threshold and samples": lambda: SCENE.request(threshold=0.4, uncertainty_samples=2),
     "named material": lambda: SCENE.request(material={"name": "silicone"}),
@@ -103,6 +109,41 @@ def without_names(answer: dict[str, Any]) -> dict[str, Any]:
     return {
         key: value for key, value in answer.items() if key not in ("timing_ms", "request_id", "reconstruction_id")
     }
+
+
+@pytest.mark.parametrize("wire", ["http", "grpc", "npz"])
+def test_displacements_at_voxels_are_those_of_the_grid(wires, wire):
+    """Put back where `deformed` says, bit for bit."""
+    on_grid = ANSWERED["many loads"]() | {"outputs": ["deformed", "displacement"]}
+    at_voxels = on_grid | {"displacement_form": "voxels"}
+    if wire == "npz":
+        npz = {"Accept": "application/x-npz"}
+        replies = (wires.http.post("/v1/deform", json=body, headers=npz) for body in (on_grid, at_voxels))
+        want, got = (np.load(io.BytesIO(reply.content)) for reply in replies)
+        assert "displacement_m" not in got and "displacement_at_voxels_m" not in want
+        deformed, want_m, moved_m = got["deformed"], want["displacement_m"], got["displacement_at_voxels_m"]
+    else:
+        ask = wires.over_http if wire == "http" else wires.over_grpc
+        (_, want), (_, got) = ask(on_grid), ask(at_voxels)
+        assert not any("displacement" in load for load in got["loads"])
+        assert not any("displacement_at_voxels" in load for load in want["loads"])
+        deformed = np.array([bits_of(load["deformed"]) for load in got["loads"]])
+        want_m = np.array([halves_of(load["displacement"]) for load in want["loads"]])
+        moved_m = np.concatenate([halves_of(load["displacement_at_voxels"]) for load in got["loads"]], axis=1)
+    assert moved_m.shape == (3, deformed.sum())
+    field_m = np.zeros((3, *deformed.shape), np.float16)
+    field_m[:, deformed] = moved_m
+    np.testing.assert_array_equal(field_m.swapaxes(0, 1), want_m)
+    assert np.abs(field_m).max() > 0.0
+
+
+def bits_of(grid: dict[str, Any]) -> np.ndarray:
+    packed = np.frombuffer(base64.b64decode(grid["data"]), np.uint8)
+    return np.unpackbits(packed, bitorder="little").reshape(64, 64, 64).astype(bool)
+
+
+def halves_of(grid: dict[str, Any]) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(grid["data"]), "<f2").reshape(grid["shape"])
 
 
 ALL = ["reconstruction", "deformed", "probability", "displacement", "scene"]
@@ -182,6 +223,10 @@ REFUSED: dict[str, tuple[str, str | None, Callable[[], dict[str, Any]]]] = {
                  lambda: SCENE.request(loads=[LOAD | {"patch_radius_m": 0.0}])),
     "too many loads": ("invalid_request", "loads", lambda: SCENE.request(loads=[LOAD] * 1000)),
     "threshold": ("invalid_request", "threshold", lambda: SCENE.request(threshold=1.0)),
+    "voxels of a body that is not told": (
+        "invalid_request", "displacement_form",
+        lambda: SCENE.request(outputs=["displacement"], displacement_form="voxels"),
+    ),
     "samples": ("invalid_request", "uncertainty_samples", lambda: SCENE.request(uncertainty_samples=65)),
     "roi outside": ("invalid_request", "roi", lambda: SCENE.request(roi=[400, 0, 10, 10])),
     "pixel outside": ("invalid_request", "loads[0].contact_px", lambda: SCENE.request(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.client import PushResult, Result
+from service.client.displacement import DisplacementField
 from service.core.grids import Grid
 from tests.poses import pose
 
@@ -35,7 +36,8 @@ def answer(loads: int = 1) -> Result:
     # A shear along x leaves z as it is, so the field on the deformed body is the same function of z.
     field_m[0][deformed] = SLOPE * z[deformed]
     push = PushResult(
-        grid=GRID, occupancy=deformed, probability=deformed.astype(np.float32), displacement_m=field_m,
+        grid=GRID, occupancy=deformed, probability=deformed.astype(np.float32),
+        displacement=DisplacementField(field_m, deformed),
         max_displacement_m=float(field_m[0].max()), mean_displacement_m=float(field_m[0][deformed].mean()),
         load_number=0.01, flags=frozenset({"contact_snapped"}),
     )  # fmt: skip

@@ -12,6 +12,8 @@ import httpx
 import numpy as np
 import pytest
 
+from service.api import convert
+from service.api.schemas import DeformBody
 from service.client import (
     AsyncPhysNetClient,
     Camera,
@@ -32,6 +34,7 @@ from service.client import (
     UnexpectedReply,
     UnknownMaterial,
 )
+from service.client.http_wire import displacement_from
 from service.core import errors as core_errors
 from service.core.messages import EarlierReconstruction, KnownShape, Observation
 from tests.service.box_scene import BoxScene
@@ -127,6 +130,52 @@ def test_a_depth_array_is_answered(client, service):
     assert (asked.material.young_modulus_pa, asked.material.poisson_ratio) == SOFT
     np.testing.assert_allclose(asked.loads[0].contact_m, PUSH.contact_m)
     np.testing.assert_allclose(asked.loads[0].force_n, PUSH.force_n)
+
+
+def test_displacements_travel_at_the_voxels_of_the_body_alone(client, service):
+    """A thirtieth of the bytes; both forms of the field are there."""
+    result = client.deform(SCENE.counts(), CAMERA, [PUSH, PUSH], SOFT, outputs=("deformed", "displacement"))
+    assert service.predictor.asked[-1].outputs == {"deformed", "displacement_at_voxels"}
+    for got, load in zip(result, fake_result(service.predictor.asked[-1]).loads, strict=True):
+        np.testing.assert_array_equal(got.moved_m, load.moved_m.astype(np.float16))
+        np.testing.assert_array_equal(got.displacement_m, load.displacement_m.astype(np.float16))
+        assert got.moved_m.shape[1] == len(got.points_camera())
+    # Where the body does not go along, nothing else says where its voxels are.
+    result = client.deform(SCENE.counts(), CAMERA, PUSH, SOFT, outputs=("displacement",))
+    assert service.predictor.asked[-1].outputs == {"displacement"}
+    want_m = fake_result(service.predictor.asked[-1]).loads[0].displacement_m
+    np.testing.assert_array_equal(result.displacement_m, want_m.astype(np.float16))
+    with pytest.raises(NotInReply, match="'deformed'"):
+        _ = result[0].moved_m
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_service_that_knows_displacements_on_grids_alone_is_understood(kind, monkeypatch):
+    """Over HTTP the field of the request is unknown to it and refused, once; over gRPC it is passed over."""
+    original = convert.deform_request
+    refused = []
+
+    def of_before(body: DeformBody, *rest: Any) -> Any:
+        if kind.startswith("http") and "displacement_form" in body.model_fields_set:
+            refused.append(body)
+            raise core_errors.InvalidRequest("`displacement_form` is not a field.", field="displacement_form")
+        return original(body.model_copy(update={"displacement_form": "grid"}), *rest)
+
+    monkeypatch.setattr(convert, "deform_request", of_before)
+    with running(FakePredictor()) as service, KINDS[kind](url(service, kind)) as client:
+        for _ in range(2):
+            check(client.deform(SCENE.counts(), CAMERA, PUSH, SOFT), service.predictor.asked[-1])
+            assert "displacement" in service.predictor.asked[-1].outputs
+    assert len(refused) == (1 if kind.startswith("http") else 0)
+
+
+def test_displacements_that_are_not_of_the_body_are_no_reply_of_ours():
+    one = np.zeros((64, 64, 64), bool)
+    one[3, 4, 5] = True
+    np.testing.assert_array_equal(displacement_from(bytes(6), one).grid_m[:, one], np.zeros((3, 1)))
+    for data, deformed in ((bytes(12), one), (bytes(8), one), (bytes(6), None)):
+        with pytest.raises(UnexpectedReply):
+            displacement_from(data, deformed)
 
 
 def test_everything_that_can_be_asked_arrives(client, service):
