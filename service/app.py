@@ -5,10 +5,12 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ctypes
+import gc
 import logging
 import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -53,14 +55,18 @@ def build_pipeline(settings: Settings) -> Served:
     Raises:
         ModelMismatch: An artefact is missing or does not fit its manifest or this service.
     """
-    # Imported here, beside the event loop: ONNX Runtime's import costs longer than all the rest of the start, and
-    # `/healthz` answers meanwhile.
-    from service.core.limits import FrameLimits
-    from service.inference.registry import load_models
-    from service.pipeline import Body, Pipeline
-    from service.warm_up import warm_up
+    # Imported here, beside the event loop: this takes longer than all the rest of the start, and `/healthz` answers
+    # meanwhile. ONNX Runtime opens its graphs on another core while Numba is imported.
+    from service.inference.graphs import open_graphs
 
-    models = load_models(settings.models, settings.threads)
+    with ThreadPoolExecutor(1) as beside:
+        opened = beside.submit(open_graphs, settings.models, settings.threads)
+        from service.core.limits import FrameLimits
+        from service.inference.registry import models_of
+        from service.pipeline import Body, Pipeline
+        from service.warm_up import warm_up
+
+        models = models_of(opened.result())
     warm_up(models)
     limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
     kept = Reconstructions[Body](settings.reconstruction_bytes, settings.reconstruction_lifetime_s)
@@ -178,6 +184,7 @@ def _listen(host: str, port: int) -> socket.socket:
 def run(settings: Settings) -> int:
     """`serve` on the fastest event loop there is, logging to stderr."""
     keep_freed_memory()
+    gc.disable()  # until it is ready: nearly all that is made before stays
     configure(settings.log_level, settings.log_format)
     with asyncio.Runner(loop_factory=_loop_factory()) as runner:
         return runner.run(serve(settings, announce=_announce))
@@ -196,6 +203,9 @@ def keep_freed_memory() -> None:
 
 
 def _announce(line: str) -> None:
+    # What is loaded stays: it need not be looked through whenever garbage is collected.
+    gc.freeze()
+    gc.enable()
     # Whoever started us waits for this line on a pipe, which Python would otherwise hold back.
     print(line, flush=True)
 

@@ -6,11 +6,15 @@ import hashlib
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cache, partial
 from typing import Any, TypeVar, cast
 
+import llvmlite.binding as llvm
 import numba
 import numpy as np
 from numba.core import cpu, event, options
+from numba.core.caching import FunctionCache
+from numba.core.runtime.nrt import rtsys
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -40,11 +44,46 @@ def compiled(function: Kernel, apart: bool = False, reordered: bool = False) -> 
     kernel: Any
     try:
         kernel = numba.njit(cache=True, **settings)(plain)
+        kernel._cache.__class__ = _Kept
         index = kernel._cache._cache_file
         index._source_stamp = (index._source_stamp, _imported(plain.__globals__))
     except RuntimeError:  # no place to keep the code in, as on a file system that is read only
         kernel = numba.njit(**settings)(plain)
     return cast(Kernel, kernel)
+
+
+class _Kept(FunctionCache):
+    """Kept code, loaded without what only compiling needs.
+
+    Numba registers all that it can compile before it loads the first kernel, and reads with each the form in which
+    others would take it in. That is two thirds of the time; a process that does compile something does both then.
+    """
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        try:
+            rtsys.initialize(target_context)  # what kernels allocate their arrays with
+            with self._guard_against_spurious_io_errors():
+                return self._load_bare(sig, target_context)
+        except (AttributeError, TypeError, ValueError):  # a version of Numba that keeps code in another form
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+
+    def _load_bare(self, sig: Any, target_context: Any) -> Any:
+        key = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]
+        data = self._cache_file.load(key)  # type: ignore[no-untyped-call]
+        if data is None:
+            return None
+        (name, kind, (code, for_others)), about, *rest = data
+        target_context.codegen()._engine._defined_symbols |= {about.llvm_cpython_wrapper_name, about.llvm_func_name}
+        found = self._impl.rebuild(target_context, ((name, kind, (code, _no_functions())), about, *rest))
+        found.library._shared_module = None
+        found.library._get_module_for_linking = cache(partial(llvm.parse_bitcode, for_others))
+        return found
+
+
+@cache
+def _no_functions() -> bytes:
+    """Bitcode of an empty module."""
+    return bytes(llvm.parse_assembly("").as_bitcode())
 
 
 def _imported(names: Mapping[str, Any]) -> str:

@@ -1,17 +1,15 @@
-"""The models a service runs: found by their manifests, checked, opened."""
+"""The models a service runs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
 
-from service.core.errors import ModelMismatch
 from service.core.manifest import Manifest
-from service.inference.artefacts import read_manifest
 from service.inference.deformation import DeformationModel
 from service.inference.graph import Graph
+from service.inference.graphs import open_graphs
 from service.inference.reconstruction import ReconstructionModel
-from service.inference.session import open_session
 
 
 @dataclass(frozen=True)
@@ -28,41 +26,19 @@ class Models:
 
 
 def load_models(directory: Path, threads: int) -> Models:
-    """Open the newest version of the model of each kind under a folder laid out as `<name>/<version>/`.
+    """Open the models of a folder, see `open_graphs`.
 
     Raises:
         ModelMismatch: A kind is missing or twice there, or a model does not fit its manifest or this service.
     """
-    newest: dict[str, tuple[tuple[int, ...], Path]] = {}
-    for path in sorted(directory.glob("*/*/manifest.json")):
-        name, version = path.parent.parent.name, _version_key(path.parent)
-        if name not in newest or version > newest[name][0]:
-            newest[name] = (version, path.parent)
-    by_kind: dict[str, tuple[Path, Manifest]] = {}
-    for _, folder in newest.values():
-        manifest = read_manifest(folder)
-        if (manifest.name, manifest.version) != (folder.parent.name, folder.name):
-            raise ModelMismatch(
-                f"{folder} holds {manifest.name} {manifest.version}; a model lies in <name>/<version>/.",
-                expected=f"{folder.parent.name} {folder.name}", actual=f"{manifest.name} {manifest.version}",
-            )  # fmt: skip
-        if manifest.kind in by_kind:
-            raise ModelMismatch(f"{directory} holds two {manifest.kind} models; leave one or name another folder.")
-        by_kind[manifest.kind] = (folder, manifest)
-    for kind in ("reconstruction", "deformation"):
-        if kind not in by_kind:
-            raise ModelMismatch(f"{directory} holds no {kind} model; export one with `physnet-train export`.")
-    graphs = {kind: Graph(open_session(*found, threads), found[1]) for kind, found in by_kind.items()}
-    seen, pushed = graphs["reconstruction"], graphs["deformation"]
+    return models_of(open_graphs(directory, threads))
+
+
+def models_of(graphs: tuple[Graph, ...]) -> Models:
+    """The models that run opened networks, one of each kind."""
+    seen, pushed = graphs
     return Models(
         reconstruction=ReconstructionModel(seen.session, seen.manifest),
         deformation=DeformationModel(pushed.session, pushed.manifest),
-        graphs=(seen, pushed),
+        graphs=graphs,
     )
-
-
-def _version_key(folder: Path) -> tuple[int, ...]:
-    try:
-        return tuple(int(part) for part in folder.name.split("."))
-    except ValueError as error:
-        raise ModelMismatch(f"{folder}: a version is numbers and dots, such as 0.1.0.") from error

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numba.core.caching import _CacheLocator  # what every place to keep code in derives from
 
-from service.core.compiled import compiled, on_compiling
+from service.core.compiled import _Kept, compiled, on_compiling
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -76,13 +76,31 @@ def test_compiling_is_told_of_once_and_loading_never(monkeypatch: pytest.MonkeyP
     assert told == ["compiling"]
 
 
+def test_code_kept_in_a_form_that_is_not_known_is_left_to_numba(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
+    assert compiled(sum_of_squares)(np.ones(2)) == 2.0
+    asked: list[object] = []
+
+    def load(self: object, sig: object, target_context: object) -> None:
+        asked.append(sig)
+        raise AttributeError("no such thing in this version")
+
+    monkeypatch.setattr(_Kept, "_load_bare", load)
+    kernel = compiled(sum_of_squares)
+    assert kernel(np.ones(2)) == 2.0
+    assert len(asked) == 1 and sum(kernel.stats.cache_hits.values()) == 1
+
+
 def test_a_change_of_a_kernel_or_a_constant_of_another_file_is_noticed(tmp_path: Path):
     def ends(factor: int, offset: int) -> str:
         (tmp_path / "one.py").write_text(
             f"from service.core.compiled import compiled\nOFFSET = {offset}\n@compiled\n"
             f"def scaled(x):\n    return {factor} * x\n"
         )
-        script = "import two; print(two.moved(5), sum(two.moved.stats.cache_hits.values()))"
+        script = (
+            "import sys, two; print(two.moved(5), sum(two.moved.stats.cache_hits.values()), "
+            "*['can compile' for name in sys.modules if name == 'numba.np.npyimpl'])"
+        )
         environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
         return subprocess.run(
             [sys.executable, "-c", script], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True,
@@ -93,7 +111,7 @@ def test_a_change_of_a_kernel_or_a_constant_of_another_file_is_noticed(tmp_path:
         "from one import OFFSET, scaled\nfrom service.core.compiled import compiled\n@compiled\n"
         "def moved(x):\n    return scaled(x) + OFFSET\n"
     )
-    assert ends(factor=2, offset=1) == "11 0"
-    assert ends(factor=2, offset=1) == "11 1"
-    assert ends(factor=2, offset=4) == "14 0"
-    assert ends(factor=13, offset=4) == "69 0"
+    assert ends(factor=2, offset=1) == "11 0 can compile"
+    assert ends(factor=2, offset=1) == "11 1"  # and what only compiling needs was not even imported
+    assert ends(factor=2, offset=4) == "14 0 can compile"  # into which `scaled` was taken, itself not compiled again
+    assert ends(factor=13, offset=4) == "69 0 can compile"
