@@ -59,9 +59,9 @@ def _served(threads: int) -> dict[str, Callable[[], object]]:
     for graph in load_models(Settings().models, threads).graphs:
         feeds = {
             tensor.name: (rng.random([1 if isinstance(n, str) else n for n in tensor.shape]) < 0.1).astype(np.float32)
-            for tensor in graph.session.get_inputs()
+            for tensor in graph.manifest.inputs
         }
-        calls[f"served {graph.manifest.kind}"] = lambda run=graph.session.run, feeds=feeds: run(None, feeds)
+        calls[f"served {graph.manifest.kind}"] = lambda run=graph.run, feeds=feeds: run(feeds)
     return calls
 
 

@@ -28,7 +28,7 @@ from service.core.manifest import Manifest
 from service.inference.graph import Graph
 from service.reconstructions import Reconstructions
 from service.scheduler import Predictor, Scheduler
-from service.settings import Settings
+from service.settings import Settings, available_cores
 
 log = logging.getLogger(__name__)
 
@@ -66,7 +66,7 @@ def build_pipeline(settings: Settings) -> Served:
         from service.pipeline import Body, Pipeline
         from service.warm_up import warm_up
 
-        models = models_of(opened.result())
+        models = models_of(opened.result(), available_cores())
     warm_up(models)
     limits = FrameLimits(max_pixels=settings.max_image_pixels, max_bytes=settings.max_body_bytes)
     kept = Reconstructions[Body](settings.reconstruction_bytes, settings.reconstruction_lifetime_s)

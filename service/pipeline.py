@@ -36,6 +36,7 @@ from service.core.motion import motion
 from service.core.segmentation import segment
 from service.core.shapes import decode_shape, in_own_voxels
 from service.core.smoothing import smoothed
+from service.core.spread import Spread
 from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
@@ -227,23 +228,27 @@ class Pipeline:
     ) -> tuple[LoadResult, ...]:
         """Every load on its own, all in one batch of the network."""
         with watch.stage("deform"):
+            if any(load.force_n.any() for load in request.loads):
+                self._deformation.begin(body.occupancy, request.material.poisson_ratio, body.smooth)
             questions = [
                 self._question(body, load, contact, request.material, f"loads[{i}]")
                 for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))
             ]
             conditions = [question.condition for question in questions if question.condition is not None]
-            answers: Iterator[tuple[Probability, Field]] = iter(())
+            answers: Iterator[LoadResult] = iter(())
             if conditions:
                 deformation = self._deformation(
                     body.occupancy, conditions, request.uncertainty_samples, smooth=body.smooth
                 )
-                answers = iter(zip(deformation.probability, deformation.field, strict=True))
-            threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
+                threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
+                moving = [question for question in questions if question.condition is not None]
+
+                def moved(i: int, spread: Spread) -> LoadResult:
+                    return _moved(body, moving[i], deformation.probability[i], deformation.field[i], threshold, spread)
+
+                answers = iter(self._deformation.spare.each(moved, len(moving)))
             return tuple(
-                _unmoved(body, question)
-                if question.condition is None
-                else _moved(body, question, *next(answers), threshold)
-                for question in questions
+                _unmoved(body, question) if question.condition is None else next(answers) for question in questions
             )
 
     def _question(self, body: Body, load: Load, contact_m: Vector3, material: Material, field: str) -> Question:
@@ -305,10 +310,12 @@ def _unmoved(body: Body, question: Question) -> LoadResult:
     )
 
 
-def _moved(body: Body, question: Question, probability: Probability, field: Field, threshold: float) -> LoadResult:
+def _moved(
+    body: Body, question: Question, probability: Probability, field: Field, threshold: float, spread: Spread
+) -> LoadResult:
     """The network's answer in metres."""
     deformed = probability > threshold
-    moved = motion(field, body.occupancy, deformed, body.grid.edge_m)
+    moved = motion(field, body.occupancy, deformed, body.grid.edge_m, spread)
     sides = (deformed[[0, -1]], deformed[:, [0, -1]], deformed[:, :, -1])
     flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())
     return LoadResult(

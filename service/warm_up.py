@@ -38,6 +38,7 @@ from service.core.motion import motion
 from service.core.prior import ElasticPrior
 from service.inference.deformation import Prior
 from service.inference.registry import Models
+from service.inference.spare_cores import Once
 from service.pipeline import Body, Pipeline
 from service.reconstructions import Reconstructions
 from service.settings import available_cores
@@ -105,8 +106,9 @@ class _Beside:
 
 def _deform_unsolved(models: Models) -> None:
     """The network's half of a deformation, for a body that the solve would not move."""
-    block, still = _block(), Prior(np.zeros((1, 3, 16, 16, 16), np.float32), np.zeros((1, 3, 32, 32, 32), np.float32))
-    answer = models.deformation(block, [PUSH], prior=still)
+    still = np.zeros((1, 3, 16, 16, 16), np.float32), np.zeros((1, 3, 32, 32, 32), np.float32)
+    block = _block()
+    answer = models.deformation(block, [PUSH], prior=Prior(still[0], Once(lambda: still[1])))
     motion(answer.field[0], block, block, edge_m=0.2)
 
 

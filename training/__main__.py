@@ -47,6 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     export.add_argument("--name", required=True)
     export.add_argument("--version", required=True)
     export.add_argument("--int8", action="store_true", help="in 8-bit integers if that loses next to nothing (views)")
+    export.add_argument("--note", default="", help="a sentence for its card")
     export.set_defaults(run=_export)
 
     add_compare(commands)
@@ -112,7 +113,9 @@ def _export(options: argparse.Namespace) -> int:
         threshold, figures = evaluate(checkpoint, options.data, "test")
         if "samples_moved" in figures:
             ranges = condition_range_of(DeformationSet.load(options.data, "train").condition)
-        manifest = export_model(checkpoint, options.models, options.name, options.version, threshold, ranges, figures)
+        manifest = export_model(
+            checkpoint, options.models, options.name, options.version, threshold, ranges, figures, options.note
+        )
         if options.int8:
             manifest = quantise(options.models / options.name / options.version, options.data)
     except (ExportError, StoreError, FileNotFoundError) as error:

@@ -9,7 +9,7 @@ import tempfile
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import onnx
@@ -26,11 +26,14 @@ from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
 from training.networks.blocks import Stem
 from training.networks.checkpoint import load_network
-from training.networks.deformation import DeformationNetwork, shrunk
+from training.networks.deformation import DeformationConfig, DeformationNetwork, shrunk
 from training.networks.reconstruction import ReconstructionNetwork, tempered
 
 OPSET = 20
 PARITY_TOLERANCE = 1e-4
+
+
+Shapes: TypeAlias = dict[str, tuple[int | str, ...]]
 
 
 class ExportError(Exception):
@@ -48,47 +51,75 @@ class ReconstructionGraph(nn.Module):
         return torch.sigmoid(self.network(view))
 
 
-class DeformationGraph(nn.Module):
-    """What is served: what to add to the coarse solve's displacement; the service looks the body up through the sum."""
+class EncoderGraph(nn.Module):
+    """What a deformation makes of a body, once for all its loads."""
+
+    def __init__(self, network: DeformationNetwork) -> None:
+        super().__init__()
+        self.encoder = network.encoder
+
+    def forward(self, rest: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        middle, coarse, mean, log_variance = self.encoder(rest)
+        return middle, coarse, mean, torch.exp(0.5 * log_variance)
+
+
+class GeneratorGraph(nn.Module):
+    """What it makes of loads: what to add to the coarse solve's displacement; the service looks the body up through
+    the sum.
+    """
 
     def __init__(self, network: DeformationNetwork) -> None:
         super().__init__()
         self.network = network
 
-    def forward(self, rest: Tensor, condition: Tensor, noise: Tensor, prior: Tensor) -> Tensor:
-        correction: Tensor = self.network(rest, condition, noise, prior)[0]
-        return correction
+    def forward(self, *inputs: Tensor) -> Tensor:
+        return self.network.generate(*inputs)
 
 
 @dataclass(frozen=True)
 class Tensors:
     """The tensors of a graph, by name; a string is a free dimension."""
 
-    inputs: dict[str, tuple[int | str, ...]]
-    outputs: dict[str, tuple[int | str, ...]]
+    inputs: Shapes
+    outputs: Shapes
 
 
 RECONSTRUCTION_TENSORS = Tensors({"view": (1, 2, 64, 64, 64)}, {"probability": (1, 64, 64, 64)})
 
 
-def deformation_tensors(latent: int) -> Tensors:
-    return Tensors(
-        {
-            "rest": (1, 1, 64, 64, 64), "condition": ("loads", 9), "noise": ("loads", latent),
-            "prior": ("loads", 3, *(LATTICE_SIZE,) * 3),
-        },
-        {"correction": ("loads", 3, *(LATTICE_SIZE,) * 3)},
+def deformation_tensors(config: DeformationConfig) -> tuple[Tensors, Tensors]:
+    """Of the encoder, and of the generator, which takes what the encoder gives."""
+    _, middle, coarse = config.channels
+    latent = (1, config.latent)
+    handed_on: dict[str, tuple[int | str, ...]] = {
+        "middle": (1, middle, 8, 8), "coarse": (1, coarse, 4, 4), "mean": latent, "deviation": latent,
+    }  # fmt: skip
+    loads: dict[str, tuple[int | str, ...]] = {
+        "condition": ("loads", 9), "noise": ("loads", config.latent), "prior": ("loads", 3, *(LATTICE_SIZE,) * 3),
+    }  # fmt: skip
+    return (
+        Tensors({"rest": (1, 1, 64, 64, 64)}, handed_on),
+        Tensors({**handed_on, **loads}, {"correction": ("loads", 3, *(LATTICE_SIZE,) * 3)}),
     )
+
+
+@dataclass(frozen=True)
+class Part:
+    """One graph of a network: a file, what is in it, its tensors."""
+
+    file: str
+    graph: nn.Module
+    tensors: Tensors
 
 
 def export_model(
     checkpoint: Path, directory: Path, name: str, version: str, threshold: float,
-    condition_range: dict[str, tuple[float, float]], evaluation: dict[str, Any],
+    condition_range: dict[str, tuple[float, float]], evaluation: dict[str, Any], note: str = "",
 ) -> Manifest:  # fmt: skip
-    """Write `directory/name/version/{model.onnx, manifest.json, CARD.md}`.
+    """Write `directory/name/version/`: its graphs, manifest.json and CARD.md.
 
-    A deformation network says the share of its correction that the evaluation was made with, a reconstruction network
-    is as sure as it was there.
+    A deformation network is two graphs, so that a body is encoded once, whatever is asked about it; it says the share
+    of its correction that the evaluation was made with. A reconstruction network is as sure as it was there.
 
     Raises:
         ExportError: ONNX Runtime's answers differ from torch's by more than 1e-4 on random inputs.
@@ -98,37 +129,41 @@ def export_model(
         network = shrunk(network, evaluation.get("correction_share", 1.0))
     if isinstance(network, ReconstructionNetwork):
         network = tempered(network, evaluation.get("temperature", 1.0))
-    kind, graph, tensors = _graph(network)
+    kind, parts = _parts(network)
+    inputs, outputs = _outside(parts)
     folder = directory / name / version
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        candidate = Path(scratch) / "model.onnx"
-        _write_onnx(graph, tensors, candidate)
-        parity = max(_difference(graph, tensors, candidate, seed) for seed in range(3))
+        for part in parts:
+            _write_onnx(part, Path(scratch))
+        parity = max(_difference(network, parts, Path(scratch), seed) for seed in range(3))
         if parity > PARITY_TOLERANCE:
             raise ExportError(
                 f"torch and ONNX Runtime differ by {parity:.2e} (at most {PARITY_TOLERANCE:.0e}); not written"
             )
-        candidate.replace(folder / "model.onnx")
+        for part in parts:
+            (Path(scratch) / part.file).replace(folder / part.file)
     manifest = Manifest(
-        name=name, version=version, kind=kind, graph="model.onnx",
+        name=name, version=version, kind=kind, graph=parts[-1].file,
+        encoder=parts[0].file if len(parts) > 1 else None,
         files={},
-        inputs=tuple(TensorSpec(n, s) for n, s in tensors.inputs.items()),
-        outputs=tuple(TensorSpec(n, s) for n, s in tensors.outputs.items()),
+        inputs=tuple(TensorSpec(n, s) for n, s in inputs.items()),
+        outputs=tuple(TensorSpec(n, s) for n, s in outputs.items()),
         grid_contract=GRID_CONTRACT,
         condition_contract=CONDITION_CONTRACT if kind == "deformation" else None,
         threshold=threshold, condition_range=condition_range, configuration=state["config"],
         run=checkpoint.parent.name, dataset=state["dataset"], commit=code_version(), parity=parity,
-        evaluation=evaluation,
+        evaluation=evaluation, note=note,
     )  # fmt: skip
     return write_manifest(folder, manifest)
 
 
 def write_manifest(folder: Path, manifest: Manifest) -> Manifest:
-    """Write card and manifest of the graph that lies in the folder; the manifest comes back with all digests."""
+    """Write card and manifest of the graphs that lie in the folder; the manifest comes back with all digests."""
     card = folder / "CARD.md"
     card.write_text(model_card(manifest))
-    digests = {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in (folder / manifest.graph, card)}
+    names = (*manifest.graphs, card.name)
+    digests = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
     manifest = replace(manifest, files=digests)
     (folder / "manifest.json").write_text(json.dumps(manifest.to_json(), indent=1) + "\n")
     return manifest
@@ -154,20 +189,31 @@ def condition_range_of(conditions: Float[np.ndarray, "n 9"]) -> dict[str, tuple[
     return ranges
 
 
-def _graph(network: nn.Module) -> tuple[str, nn.Module, Tensors]:
-    """Kind of a network, what is served of it, and its tensors."""
+def _parts(network: nn.Module) -> tuple[str, list[Part]]:
+    """Kind of a network, and what is served of it, in the order in which it runs."""
     if isinstance(network, ReconstructionNetwork):
-        return "reconstruction", ReconstructionGraph(network).eval(), RECONSTRUCTION_TENSORS
+        return "reconstruction", [Part("model.onnx", ReconstructionGraph(network).eval(), RECONSTRUCTION_TENSORS)]
     if isinstance(network, DeformationNetwork):
-        return "deformation", DeformationGraph(network).eval(), deformation_tensors(network.config.latent)
+        encoder, generator = deformation_tensors(network.config)
+        return "deformation", [
+            Part("encoder.onnx", EncoderGraph(network).eval(), encoder),
+            Part("generator.onnx", GeneratorGraph(network).eval(), generator),
+        ]
     raise ExportError(f"there is no served graph for a {type(network).__name__}")
 
 
-def _example(tensors: Tensors, seed: int, loads: int) -> dict[str, np.ndarray]:
+def _outside(parts: list[Part]) -> tuple[Shapes, Shapes]:
+    """Inputs and outputs of a network: without what its graphs hand on."""
+    handed_on = {name for part in parts[:-1] for name in part.tensors.outputs}
+    given = {n: shape for part in parts for n, shape in part.tensors.inputs.items() if n not in handed_on}
+    return given, parts[-1].tensors.outputs
+
+
+def _example(shapes: Shapes, seed: int, loads: int) -> dict[str, np.ndarray]:
     """Random but valid inputs: binary grids, a condition within its ranges."""
     rng = np.random.default_rng(seed)
     inputs: dict[str, np.ndarray] = {}
-    for name, shape in tensors.inputs.items():
+    for name, shape in shapes.items():
         size = tuple(loads if isinstance(n, str) else n for n in shape)
         if name == "condition":
             direction = rng.normal(size=(loads, 3))
@@ -181,8 +227,9 @@ def _example(tensors: Tensors, seed: int, loads: int) -> dict[str, np.ndarray]:
     return inputs
 
 
-def _write_onnx(graph: nn.Module, tensors: Tensors, path: Path) -> None:
-    example = tuple(torch.from_numpy(a) for a in _example(tensors, seed=0, loads=2).values())
+def _write_onnx(part: Part, folder: Path) -> None:
+    graph, tensors, path = part.graph, part.tensors, folder / part.file
+    example = tuple(torch.from_numpy(a) for a in _example(tensors.inputs, seed=0, loads=2).values())
     free = {
         name: {axis: n for axis, n in enumerate(shape) if isinstance(n, str)}
         for name, shape in {**tensors.inputs, **tensors.outputs}.items()
@@ -222,14 +269,19 @@ def _without_norms(graph: nn.Module) -> nn.Module:
     return graph
 
 
-def _difference(graph: nn.Module, tensors: Tensors, path: Path, seed: int) -> float:
-    inputs = _example(tensors, seed, loads=1 + seed)
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    served = session.run(list(tensors.outputs), inputs)
+def _difference(network: nn.Module, parts: list[Part], folder: Path, seed: int) -> float:
+    """Largest one between the network's answer and that of its graphs, run one after the other."""
+    inputs = _example(_outside(parts)[0], seed, loads=1 + seed)
+    served = dict(inputs)
+    for part in parts:
+        session = onnxruntime.InferenceSession(str(folder / part.file), providers=["CPUExecutionProvider"])
+        names = list(part.tensors.outputs)
+        served |= zip(names, session.run(names, {name: served[name] for name in part.tensors.inputs}), strict=True)
     with torch.no_grad():
-        expected = graph(*(torch.from_numpy(a) for a in inputs.values()))
-    expected = expected if isinstance(expected, tuple) else (expected,)
-    return max(float(np.abs(s - e.numpy()).max()) for s, e in zip(served, expected, strict=True))
+        answer = network.eval()(*(torch.from_numpy(a) for a in inputs.values()))
+    expected = answer[0] if isinstance(network, DeformationNetwork) else torch.sigmoid(answer)
+    (name,) = parts[-1].tensors.outputs
+    return float(np.abs(served[name] - expected.numpy()).max())
 
 
 def model_card(manifest: Manifest) -> str:
@@ -241,7 +293,7 @@ def model_card(manifest: Manifest) -> str:
     return f"""# {manifest.name} {manifest.version}
 
 A {manifest.kind} network of PhysNet, exported from run `{manifest.run}` at commit `{manifest.commit}`.
-
+{f"{chr(10)}{manifest.note}{chr(10)}" if manifest.note else ""}
 | evaluation on bodies never trained on | |
 |---|---|
 {rows}

@@ -70,10 +70,19 @@ def timed(repeats: int) -> dict[str, Any]:
     networks = {"reconstruct": models.reconstruction, "deform": models.deformation}
     inside: dict[str, float] = {}
     for stage, network in networks.items():
-        session = network._session
-        network._session = SimpleNamespace(run=_clocked(session.run, inside, stage), get_inputs=session.get_inputs)
+        for name in {"_session", "_encoder"} & set(vars(network)):
+            session = getattr(network, name)
+            setattr(network, name, SimpleNamespace(run=_clocked(session.run, inside, stage)))
     if hasattr(models.deformation, "prior"):
-        models.deformation.prior = _clocked(models.deformation.prior, inside, "prior")  # type: ignore[method-assign]
+        prior = models.deformation.prior
+
+        def whole(*asked: Any, **also: Any) -> Any:
+            answer = prior(*asked, **also)
+            if callable(answer.backward):  # else it is there already, as in older versions
+                answer.backward()
+            return answer
+
+        models.deformation.prior = _clocked(whole, inside, "prior")  # type: ignore[method-assign]
     pipeline = service.pipeline.Pipeline(models.reconstruction, models.deformation)
     frames: dict[str, dict[str, float]] = {}
     for frame, (contact_px, force_n) in PUSHES.items():

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 import onnxruntime
 
+from service.inference.graph import Graph
 from service.inference.registry import load_models
 from service.settings import Settings, available_cores
 
@@ -59,19 +60,14 @@ def main() -> None:
     graphs = load_models(settings.models, 1).graphs
     feeds = [_inputs(graph.manifest.inputs) for graph in graphs]
     chosen = configurations(available_cores())
-    sessions = {
-        name: [
-            open_with(settings.models / g.manifest.name / g.manifest.version / g.manifest.graph, how) for g in graphs
-        ]
-        for name, how in chosen.items()
-    }
-    wall: dict[str, list[float]] = {name: [] for name in sessions}
-    processor: dict[str, list[float]] = {name: [] for name in sessions}
+    networks = {name: [_reopened(graph, settings.models, how) for graph in graphs] for name, how in chosen.items()}
+    wall: dict[str, list[float]] = {name: [] for name in networks}
+    processor: dict[str, list[float]] = {name: [] for name in networks}
     for turn in range(given.repeats + 2):
-        for name, pair in sessions.items():
+        for name, pair in networks.items():
             began, used = time.perf_counter(), time.process_time()
-            for session, feed in zip(pair, feeds, strict=True):
-                session.run(None, feed)
+            for network, feed in zip(pair, feeds, strict=True):
+                network.run(feed)
             if turn >= 2:
                 wall[name].append(1e3 * (time.perf_counter() - began))
                 processor[name].append(1e3 * (time.process_time() - used))
@@ -82,7 +78,7 @@ def main() -> None:
             "least_ms": min(wall[name]),
             "processor_ms": float(np.median(processor[name])),
         }
-        for name in sessions
+        for name in networks
     }
     RESULTS.mkdir(exist_ok=True)
     document = {"configurations": rows, "load_average": os.getloadavg(), "repeats": given.repeats}
@@ -90,6 +86,11 @@ def main() -> None:
     for name, row in rows.items():
         figures = (f"{key.removesuffix('_ms')} {row[key]:.1f}" for key in ("median_ms", "least_ms", "processor_ms"))
         print(f"{name:34s}", "  ".join(figures), "ms")
+
+
+def _reopened(graph: Graph, models: Path, chosen: dict[str, Any]) -> Graph:
+    folder = models / graph.manifest.name / graph.manifest.version
+    return Graph(tuple(open_with(folder / name, chosen) for name in graph.manifest.graphs), graph.manifest)
 
 
 def _inputs(specs: Any) -> dict[str, np.ndarray]:

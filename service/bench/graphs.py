@@ -11,7 +11,7 @@ import numpy as np
 
 from service.api import convert
 from service.bench.question import BenchQuestion
-from service.core.arrays import Occupancy
+from service.core.arrays import Occupancy, Probability
 from service.core.condition import Condition
 from service.inference.deformation import Prior
 from service.inference.registry import load_models
@@ -78,21 +78,22 @@ class _Recorder:
 @contextmanager
 def _recorded(models: Any, calls: dict[str, list[Callable[[], object]]]) -> Iterator[None]:
     """While it lasts, both networks and the prior's solve leave what they are asked in `calls`."""
-    networks = (models.reconstruction, models.deformation)
-    for network in networks:
-        network._session = _Recorder(network._session, calls.setdefault(network.manifest.kind, []))
     deformation = models.deformation
-    solve: Callable[[Occupancy, Sequence[Condition]], Prior] = deformation.prior
+    sessions = ((models.reconstruction, "_session"), (deformation, "_encoder"), (deformation, "_session"))
+    for network, name in sessions:
+        recorder = _Recorder(getattr(network, name), calls.setdefault(network.manifest.kind, []))
+        setattr(network, name, recorder)
+    solve: Callable[..., Prior] = deformation.prior
 
-    def recorded(rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
+    def recorded(rest: Occupancy, conditions: Sequence[Condition], smooth: Probability | None = None) -> Prior:
         # A body of its own: the last one's factor is kept, but a new frame shows a body that nobody has solved for.
-        calls.setdefault("prior", []).append(lambda: solve(rest.copy(), conditions))
-        return solve(rest, conditions)
+        calls.setdefault("prior", []).append(lambda: solve(rest.copy(), conditions).backward())
+        return solve(rest, conditions, smooth)
 
     deformation.prior = recorded
     try:
         yield
     finally:
         del deformation.prior
-        for network in networks:
-            network._session = network._session._session
+        for network, name in sessions:
+            setattr(network, name, getattr(network, name)._session)

@@ -10,8 +10,9 @@ from jaxtyping import Float32
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
-from service.core.extent import filled_range
+from service.core.extent import Voxel, filled_range
 from service.core.prior_field import FIELD_SIZE
+from service.core.spread import Spread, in_turn
 
 Field: TypeAlias = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
 """u in edges of the grid on a lattice over the cube, node i at (i + ½)/32."""
@@ -25,7 +26,9 @@ SPARE = 3.0
 """Nodes around all material that is looked at: a cell of the field, and as much again as the field may bend in it."""
 
 
-def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> Field:
+def corrected(
+    backward: Field, correction: Lattice, body: Box | None = None, spread: Spread = in_turn, result: Field | None = None
+) -> Field:
     """The backward field of a body whose material has moved by a correction more than the field says.
 
     With ψ the map y ↦ y − u_b(y) back to rest and δ(x) the correction of the material at x, the material now at y was
@@ -38,11 +41,14 @@ def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> 
         body: Box of the body at rest, lowest and highest corner in edges of the grid. The field is left as it was where
             ψ leads farther from the box than the body is corrected, and `SPARE` nodes: nobody looks there. All of it
             is corrected if None.
+        spread: Over the nodes along x.
+        result: To be written over and returned; a new one if None.
     """
     low, high = _near(body, correction) if body else (_NOWHERE, _EVERYWHERE)
-    result = np.empty_like(backward)
-    _correct(np.ascontiguousarray(backward), np.ascontiguousarray(correction), low, high, result)
-    return result
+    backward, correction = np.ascontiguousarray(backward), np.ascontiguousarray(correction)
+    field = np.empty_like(backward) if result is None else result
+    spread(lambda first, end: _correct(backward, correction, low, high, first, end, field), FIELD_SIZE)
+    return field
 
 
 def body_box(rest: Occupancy) -> Box:
@@ -54,7 +60,12 @@ def body_box(rest: Occupancy) -> Box:
     found = filled_range(rest)
     if found is None:
         raise ValueError("an empty body has no box: the occupancy holds no voxel")
-    (x0, y0, z0), (x1, y1, z1) = found
+    return box_between(*found)
+
+
+def box_between(first: Voxel, end: Voxel) -> Box:
+    """The box of voxels from one to before another, in edges of the grid."""
+    (x0, y0, z0), (x1, y1, z1) = first, end
     return (x0 / GRID_SIZE, y0 / GRID_SIZE, z0 / GRID_SIZE), (x1 / GRID_SIZE, y1 / GRID_SIZE, z1 / GRID_SIZE)
 
 
@@ -80,9 +91,11 @@ _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 
 
 @compiled
-def _correct(backward: Field, correction: Lattice, low: Vector, high: Vector, result: Field) -> None:
-    """`corrected` at the nodes whose material the field says to come from between two corners."""
-    for i in range(FIELD_SIZE):
+def _correct(
+    backward: Field, correction: Lattice, low: Vector, high: Vector, first: int, end: int, result: Field
+) -> None:
+    """`corrected` at the nodes, of some along x, whose material the field says to come from between two corners."""
+    for i in range(first, end):
         for j in range(FIELD_SIZE):
             for k in range(FIELD_SIZE):
                 x, y, z = _STEPS[i], _STEPS[j], _STEPS[k]

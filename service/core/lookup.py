@@ -10,10 +10,11 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
-from service.core.displacement import Field
+from service.core.displacement import Box, Field, box_between
 from service.core.extent import Voxel, filled_range
 from service.core.prior_field import FIELD_SIZE
 from service.core.smoothing import smoothed, sure_of
+from service.core.spread import Spread, in_turn
 
 CELLS = FIELD_SIZE + 1
 """Cells of the field along each edge of the grid: between neighbouring nodes, and beyond the outermost."""
@@ -46,13 +47,18 @@ class Warp:
     Args:
         rest: The body.
         smooth: Its smoothed occupancy where that is known better than from its voxels.
+
+    Attributes:
+        body: Box of the body in edges of the grid; None if it is empty.
     """
 
     def __init__(self, rest: Occupancy, smooth: Probability | None = None) -> None:
         self._sole = np.ascontiguousarray(rest[:, :, 0])
         filled = filled_range(rest)
         self._box: tuple[Voxel, Voxel] | None = None
+        self.body: Box | None = None
         if filled is not None:
+            self.body = box_between(*filled)
             # The voxels between the outermost filled ones, and one more on each side where the grid has one.
             (x, y, z), (end_x, end_y, end_z) = filled
             low = (max(x - 1, 0), max(y - 1, 0), max(z - 1, 0))
@@ -66,18 +72,31 @@ class Warp:
             self._kinds = np.zeros(self._values.shape, np.uint8)
             _tell_kinds(self._values, self._kinds)
 
-    def __call__(self, field: Field) -> Probability:
-        """Occupancy after one load."""
-        probability = np.zeros((GRID_SIZE,) * 3, np.float32)
-        if self._box is not None:
-            field = np.ascontiguousarray(field)
-            tops = np.zeros((CELLS, CELLS), np.int64)
-            _tell_tops(field, *self._box, tops)
-            (x, y, z), (sx, sy, sz) = self._box[0], self._values.shape
-            _look_up(
-                field, self._sole, self._values.ravel(), self._kinds.ravel(), (sx, sy, sz), (x - 2, y - 2, z - 2),
-                tops, probability,
-            )  # fmt: skip
+    def __call__(
+        self, field: Field, spread: Spread = in_turn, result: Probability | None = None
+    ) -> Probability:
+        """Occupancy after one load.
+
+        Args:
+            field: See `warp`.
+            spread: Over the voxels along x.
+            result: To be written over and returned; a new one if None.
+        """
+        probability = np.empty((GRID_SIZE,) * 3, np.float32) if result is None else result
+        if self._box is None:
+            probability[...] = 0.0
+            return probability
+        field = np.ascontiguousarray(field)
+        tops = np.empty((CELLS, CELLS), np.int64)
+        _tell_tops(field, *self._box, tops)
+        (x, y, z), (sx, sy, sz) = self._box[0], self._values.shape
+        values, kinds = self._values.ravel(), self._kinds.ravel()
+
+        def look_up(first: int, end: int) -> None:
+            shape, corner = (sx, sy, sz), (x - 2, y - 2, z - 2)
+            _look_up(field, self._sole, values, kinds, shape, corner, tops, first, end, probability)
+
+        spread(look_up, GRID_SIZE)
         return probability
 
 
@@ -138,17 +157,19 @@ def _edge(voxel: int, beyond: float) -> np.float32:
 @compiled
 def _look_up(
     field: Field, sole: Layer, values: Flat, kinds: Kinds, shape: Voxel, corner: Voxel, tops: Tops,
-    probability: Probability,
+    first_x: int, end_x: int, probability: Probability,
 ) -> None:  # fmt: skip
-    """Values at y - u(y) for the voxels y below the tops; `corner` is the voxel of the first value."""
+    """Values at y - u(y) for the voxels y below the tops, 0 above; `corner` is the voxel of the first value."""
     coarse, slab, u = scratch()
     share, cells = np.empty((3, GRID_SIZE), np.float32), np.empty(GRID_SIZE, np.int32)
     mixed = np.empty(GRID_SIZE + 1, np.int32)
     size_y, size_z = np.int32(shape[1]), np.int32(shape[2])
     last_x, last_y, last_z = np.float32(shape[0] - 2), np.float32(shape[1] - 2), np.float32(shape[2] - 2)
-    for x in range(GRID_SIZE):
+    for x in range(first_x, end_x):
         first, end, highest = GRID_SIZE, 0, 0
         for y in range(GRID_SIZE):
+            for z in range(GRID_SIZE):
+                probability[x, y, z] = _ZERO
             top = tops[(x + 1) // 2, (y + 1) // 2]
             if top > 0:
                 first, end, highest = min(first, y), y + 1, max(highest, top)

@@ -28,10 +28,10 @@ class Manifest:
         name: Of the model.
         version: Numbers and dots.
         kind: `reconstruction` or `deformation`.
-        graph: File name of the ONNX graph beside the manifest.
+        graph: File name of the ONNX graph beside the manifest; of two the one that gives the answer.
         files: Every file beside the manifest, with its sha256.
-        inputs: The graph's inputs.
-        outputs: The graph's outputs.
+        inputs: The network's inputs.
+        outputs: The network's outputs.
         grid_contract: Version of the grids it was trained on.
         condition_contract: Version of its condition vector; None for a network that takes none.
         threshold: Occupancy probability, tuned on validation, above which a voxel counts as filled.
@@ -42,6 +42,9 @@ class Manifest:
         commit: Git commit of the code that exported the graph.
         parity: Largest absolute difference between torch and ONNX Runtime at export.
         evaluation: Figures on held-out bodies.
+        encoder: File name of the graph that goes before: its inputs are the network's, its outputs are inputs of
+            `graph` beside the network's other ones. None where one graph is all of the network.
+        note: What whoever exported it had to say.
     """
 
     name: str
@@ -61,6 +64,13 @@ class Manifest:
     commit: str
     parity: float
     evaluation: dict[str, Any]
+    encoder: str | None = None
+    note: str = ""
+
+    @property
+    def graphs(self) -> tuple[str, ...]:
+        """File names of the graphs, in the order in which they run."""
+        return (self.graph,) if self.encoder is None else (self.encoder, self.graph)
 
     def to_json(self) -> dict[str, Any]:
         """Plain dictionaries and lists, ready for a JSON encoder."""
@@ -74,11 +84,12 @@ class Manifest:
             ModelMismatch: A field is missing or unknown, the kind is unknown, or it speaks another contract.
         """
         names = {field.name for field in dataclasses.fields(cls)}
-        if not isinstance(document, dict) or set(document) != names:
-            found = set(document) if isinstance(document, dict) else set()
+        needed = {field.name for field in dataclasses.fields(cls) if field.default is dataclasses.MISSING}
+        found = set(document) if isinstance(document, dict) else set()
+        if not needed <= found <= names:
             raise ModelMismatch(
                 "The manifest does not have the fields this service knows; export the model again.",
-                expected=sorted(names - found), actual=", ".join(sorted(found - names)),
+                expected=sorted(needed - found), actual=", ".join(sorted(found - names)),
             )  # fmt: skip
         manifest = cls(
             **{
@@ -95,8 +106,9 @@ class Manifest:
         if manifest.kind == "deformation":
             found_contract = str(manifest.condition_contract)
             _expect("condition contract", CONDITION_CONTRACT, found_contract, found_contract == CONDITION_CONTRACT)
-        if manifest.graph not in manifest.files:
-            raise ModelMismatch(f"The manifest names the graph {manifest.graph} but has no digest for it.")
+        for graph in manifest.graphs:
+            if graph not in manifest.files:
+                raise ModelMismatch(f"The manifest names the graph {graph} but has no digest for it.")
         return manifest
 
 

@@ -12,6 +12,7 @@ from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
 from service.core.displacement import Field
+from service.core.spread import Spread, in_turn
 
 Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eighth=8"]
 """Eight voxels a number, which is 0 where none of them is filled."""
@@ -32,7 +33,7 @@ class Motion:
     mean_m: float
 
 
-def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float) -> Motion:
+def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float, spread: Spread = in_turn) -> Motion:
     """The field at the voxels of the deformed body.
 
     Between its nodes it is trilinear, and beyond the outermost the last value holds. The lowest voxels of the body at
@@ -43,13 +44,19 @@ def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float) ->
         rest: The body before the load.
         deformed: The body after it.
         edge_m: Edge of the grid in metres.
+        spread: Over the voxels along x.
     """
-    deformed = np.ascontiguousarray(deformed)
+    field, deformed = np.ascontiguousarray(field), np.ascontiguousarray(deformed)
     moved_m = np.empty((3, np.count_nonzero(deformed)), np.float32)
     if moved_m.size == 0:
         return Motion(moved_m, 0.0, 0.0)
-    sole = np.ascontiguousarray(rest[:, :, 0])
-    _gather(np.ascontiguousarray(field), sole, deformed, deformed.view(np.uint64), np.float32(edge_m), moved_m)
+    sole, eights, edge = np.ascontiguousarray(rest[:, :, 0]), deformed.view(np.uint64), np.float32(edge_m)
+
+    def gather(first: int, end: int) -> None:
+        before = int(np.count_nonzero(deformed[:first]))
+        _gather(field, sole, deformed, eights, edge, first, end, before, moved_m)
+
+    spread(gather, GRID_SIZE)
     x, y, z = moved_m
     lengths_m = np.sqrt(x * x + y * y + z * z)
     return Motion(moved_m, float(lengths_m.max()), float(lengths_m.mean()))
@@ -58,12 +65,11 @@ def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float) ->
 @compiled
 def _gather(
     field: Field, sole: Bool[np.ndarray, "x=64 y=64"], deformed: Occupancy, eights: Eights, edge_m: np.float32,
-    moved_m: Float32[np.ndarray, "axis=3 n"],
+    first_x: int, end_x: int, n: int, moved_m: Float32[np.ndarray, "axis=3 n"],
 ) -> None:  # fmt: skip
-    """`motion`: metres at every filled voxel."""
+    """`motion`: metres at every filled voxel of some layers, the first of which is number n of the body."""
     coarse, slab, u = scratch()
-    n = 0
-    for x in range(GRID_SIZE):
+    for x in range(first_x, end_x):
         first, end = GRID_SIZE, 0
         for y in range(GRID_SIZE):
             if _any(eights, x, y):

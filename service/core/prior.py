@@ -24,6 +24,9 @@ STEPS = 6
 """Corrections of large rotations. With 3 the skill on the same bodies is 0.695."""
 
 
+Nodal = Float32[np.ndarray, "loads axis=3 n"]
+
+
 @dataclass(frozen=True, eq=False)
 class PriorSolution:
     """Answers of the coarse solve for n loads, in edges of the body grid.
@@ -35,7 +38,7 @@ class PriorSolution:
         forward: u(x) on a lattice of 16³, node i at (i + ½)/16: where the material at x at rest goes.
     """
 
-    nodal: Float32[np.ndarray, "loads axis=3 n"]
+    nodal: Nodal
     backward: Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]
     forward: Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]
 
@@ -66,12 +69,23 @@ class ElasticPrior:
         return nodal_forces(self.grid, self._occupancy, conditions)
 
     def displacements(self, conditions: Sequence[Condition], steps: int = STEPS) -> PriorSolution:
-        """Solve for loads, all at once.
+        """Solve for loads, and make fields of the solutions, see `nodal`."""
+        nodal = self.nodal(conditions, steps)
+        return PriorSolution(nodal, self.backward(nodal), self.forward(nodal))
+
+    def nodal(self, conditions: Sequence[Condition], steps: int = STEPS) -> Nodal:
+        """Solve for loads, all at once: displacements of the nodes.
 
         Args:
             conditions: One a load, at least one, see `service.core.condition`; their ν is not looked at.
             steps: 0 is linear elasticity, see `CorotationalSolver.solve`.
         """
-        nodal = self.solver.solve(self.forces(conditions), steps)
-        backward = backward_fields(self._points, self.solver.cells, nodal)
-        return PriorSolution(nodal, backward, forward_lattice(self.grid, nodal))
+        return self.solver.solve(self.forces(conditions), steps)
+
+    def backward(self, nodal: Nodal) -> Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]:
+        """`PriorSolution.backward` of displacements of the nodes."""
+        return backward_fields(self._points, self.solver.cells, nodal)
+
+    def forward(self, nodal: Nodal) -> Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]:
+        """`PriorSolution.forward` of displacements of the nodes."""
+        return forward_lattice(self.grid, nodal)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,13 +12,16 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy, Probability
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.core.displacement import Box, body_box, corrected
-from service.core.lookup import Warp
+from service.core.displacement import corrected
 from service.core.manifest import Manifest
-from service.core.prior import ElasticPrior
+from service.core.prior import Nodal
+from service.core.spread import Spread
+from service.inference.bodies import Bodies, Features
+from service.inference.spare_cores import Once, SpareCores
 
 Forward: TypeAlias = Float32[np.ndarray, "n axis=3 x=16 y=16 z=16"]
 Backward: TypeAlias = Float32[np.ndarray, "n axis=3 x=32 y=32 z=32"]
+Solve: TypeAlias = Callable[[Sequence[Condition]], Nodal]
 
 POISSON_RATIO = CONDITION_FIELDS.index("poisson_ratio")
 
@@ -39,46 +42,57 @@ class Deformation:
 
 @dataclass(frozen=True)
 class Prior:
-    """Answers of the coarse solve for n loads, see `service.core.prior.PriorSolution`."""
+    """Answers of the coarse solve for n loads, see `service.core.prior.PriorSolution`.
+
+    The network needs the first alone; the second may be worked out meanwhile.
+    """
 
     forward: Forward
-    backward: Backward
-
-
-@dataclass(frozen=True, eq=False)
-class _Body:
-    """A body, ready for any load: as asked about, as the network sees it, its box, and its occupancy to be warped."""
-
-    rest: Occupancy
-    smooth: Probability | None
-    tensor: Float32[np.ndarray, "1 1 x=64 y=64 z=64"]
-    box: Box
-    warp: Warp
+    backward: Once[Backward]
 
 
 class DeformationModel:
-    """From an undeformed body and a batch of conditions to its deformed shapes."""
+    """From an undeformed body and a batch of conditions to its deformed shapes. Any thread may ask.
 
-    def __init__(self, session: onnxruntime.InferenceSession, manifest: Manifest) -> None:
-        self._session = session
+    Args:
+        encoder: From a body to what the network knows of it, for any load.
+        generator: From that, loads and the coarse solve's answers to what these lack.
+        manifest: Of both.
+        spare: Cores for what need not be done in turn.
+    """
+
+    def __init__(
+        self, encoder: onnxruntime.InferenceSession, generator: onnxruntime.InferenceSession, manifest: Manifest,
+        spare: SpareCores | None = None,
+    ) -> None:  # fmt: skip
+        self._encoder = encoder
+        self._session = generator
         self.manifest = manifest
-        self._latent = int(next(i for i in session.get_inputs() if i.name == "noise").shape[1])
-        self._solved: tuple[Occupancy, float, ElasticPrior] | None = None
-        self._known: _Body | None = None
+        self.spare = spare or SpareCores(0)
+        self._features = [tensor.name for tensor in encoder.get_outputs()]
+        self._latent = int(next(i for i in generator.get_inputs() if i.name == "noise").shape[1])
+        self._bodies = Bodies(self._encode)
 
-    def prior(self, rest: Occupancy, conditions: Sequence[Condition]) -> Prior:
+    def begin(self, rest: Occupancy, poisson_ratio: float, smooth: Probability | None = None) -> None:
+        """A question about a body is going to be asked: spare cores may prepare the coarse solve already."""
+        self.spare.offer(self._bodies.find(rest, smooth).solver(poisson_ratio))
+
+    def prior(self, rest: Occupancy, conditions: Sequence[Condition], smooth: Probability | None = None) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
+        body = self._bodies.find(rest, smooth)
         ratios = [float(condition[POISSON_RATIO]) for condition in conditions]
-        if len(set(ratios)) == 1:  # as from a robot, whose request names one material
-            answer = self._solver(rest, ratios[0]).displacements(conditions)
-            return Prior(answer.forward, answer.backward)
-        n = len(conditions)
-        forward, backward = np.empty((n, 3, 16, 16, 16), np.float32), np.empty((n, 3, 32, 32, 32), np.float32)
-        for ratio in set(ratios):
-            rows = [row for row, one in enumerate(ratios) if one == ratio]
-            answer = self._solver(rest, ratio).displacements([conditions[row] for row in rows])
-            forward[rows], backward[rows] = answer.forward, answer.backward
-        return Prior(forward, backward)
+        solver = body.solver(ratios[0])()
+        nodal = np.empty((len(conditions), 3, len(solver.grid.nodes)), np.float32)
+        for ratio in set(ratios):  # one, as from a robot, whose request names one material
+            rows, solve = [row for row, one in enumerate(ratios) if one == ratio], body.solver(ratio)().nodal
+
+            def part(first: int, end: int, rows: list[int] = rows, solve: Solve = solve) -> None:
+                nodal[rows[first:end]] = solve([conditions[row] for row in rows[first:end]])
+
+            self.spare.spread(part, len(rows))
+        # the fields are those of the cells, whatever the material
+        backward = self.spare.offer(Once(lambda: solver.backward(nodal)))
+        return Prior(solver.forward(nodal), backward)
 
     def __call__(
         self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,
@@ -94,36 +108,37 @@ class DeformationModel:
             prior: Of these loads, if it is known already.
             smooth: See `service.core.lookup.Warp`.
         """
-        prior = prior or self.prior(rest, conditions)
-        body = self._body(rest, smooth)
-        inputs = {"rest": body.tensor, "condition": np.stack(conditions), "prior": prior.forward}
+        body = self._bodies.find(rest, smooth)
+        self.spare.offer(body.features)
+        warp = body.warp()
+        known = prior or self.prior(rest, conditions, smooth)
+        inputs = {**body.features(), "condition": np.stack(conditions), "prior": known.forward}
+        loads = len(conditions)
 
         def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
             (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})
-            fields = [corrected(u, delta, body.box) for u, delta in zip(prior.backward, correction, strict=True)]
-            return Deformation(_stacked([body.warp(field) for field in fields]), _stacked(fields))
+            backward = known.backward()
+            field = np.empty_like(backward)
+            probability = np.empty((loads, *rest.shape), np.float32)
+
+            def carry(i: int, spread: Spread) -> None:
+                corrected(backward[i], correction[i], warp.body, spread, field[i])
+                warp(field[i], spread, probability[i])
+
+            self.spare.each(carry, loads)
+            return Deformation(probability, field)
 
         if samples == 0:
-            return answer(np.zeros((len(conditions), self._latent), np.float32))
+            return answer(np.zeros((loads, self._latent), np.float32))
         draws = np.random.default_rng(0).standard_normal((samples, self._latent)).astype(np.float32)
-        answers = [answer(np.repeat(draw[None], len(conditions), axis=0)) for draw in draws]
+        answers = [answer(np.repeat(draw[None], loads, axis=0)) for draw in draws]
         return Deformation(
             np.stack([each.probability for each in answers]).mean(axis=0),
             np.stack([each.field for each in answers]).mean(axis=0),
         )
 
-    def _solver(self, rest: Occupancy, poisson_ratio: float) -> ElasticPrior:
-        """The factorised solve of a body. That of the last one is kept: a planner asks about the same body again."""
-        if self._solved is None or self._solved[0] is not rest or self._solved[1] != poisson_ratio:
-            self._solved = rest, poisson_ratio, ElasticPrior(rest, poisson_ratio)
-        return self._solved[2]
-
-    def _body(self, rest: Occupancy, smooth: Probability | None) -> _Body:
-        """What every load on a body needs of it. That of the last one is kept, too."""
-        if self._known is None or self._known.rest is not rest or self._known.smooth is not smooth:
-            tensor = rest.astype(np.float32)[None, None]
-            self._known = _Body(rest, smooth, tensor, body_box(rest), Warp(rest, smooth))
-        return self._known
+    def _encode(self, tensor: Float32[np.ndarray, "1 1 x=64 y=64 z=64"]) -> Features:
+        return dict(zip(self._features, self._encoder.run(self._features, {"rest": tensor}), strict=True))
 
     def outside_training_range(self, condition: Condition) -> bool:
         """Whether a field of the condition lies beyond what the network was trained on.
@@ -136,7 +151,3 @@ class DeformationModel:
                 return True
         return False
 
-
-def _stacked(arrays: list[Float32[np.ndarray, "..."]]) -> Float32[np.ndarray, "n ..."]:
-    """`np.stack`, which copies the one array of a single load, too."""
-    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)

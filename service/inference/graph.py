@@ -13,17 +13,21 @@ from service.core.manifest import Manifest
 
 @dataclass(frozen=True)
 class Graph:
-    """An opened graph and what it is.
+    """An opened network and what it is.
 
     Attributes:
-        session: An `onnxruntime.InferenceSession`, the one that the façade runs. Not named as such: the wires know
-            graphs, and ONNX Runtime is loaded beside them.
+        sessions: An `onnxruntime.InferenceSession` for each graph of the manifest, those that the façade runs. Not
+            named as such: the wires know graphs, and ONNX Runtime is loaded beside them.
     """
 
-    session: Any
+    sessions: tuple[Any, ...]
     manifest: Manifest
 
     def run(self, inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Every output for float32 inputs of the manifest's names and shapes."""
-        names = [spec.name for spec in self.manifest.outputs]
-        return dict(zip(names, self.session.run(names, dict(inputs)), strict=True))
+        known = dict(inputs)
+        for session in self.sessions:
+            names = [tensor.name for tensor in session.get_outputs()]
+            feeds = {tensor.name: known[tensor.name] for tensor in session.get_inputs()}
+            known.update(zip(names, session.run(names, feeds), strict=True))
+        return {spec.name: known[spec.name] for spec in self.manifest.outputs}

@@ -1,4 +1,4 @@
-"""Opening a graph in ONNX Runtime, checked against its manifest."""
+"""Opening a network in ONNX Runtime, checked against its manifest."""
 
 from __future__ import annotations
 
@@ -10,32 +10,40 @@ from service.core.errors import ModelMismatch
 from service.core.manifest import Manifest, TensorSpec
 
 
-def open_session(directory: Path, manifest: Manifest, threads: int) -> onnxruntime.InferenceSession:
-    """A CPU session for one graph.
+def open_sessions(directory: Path, manifest: Manifest, threads: int) -> tuple[onnxruntime.InferenceSession, ...]:
+    """CPU sessions for the graphs of a network, in the order in which they run.
 
     Args:
         directory: The model's folder.
-        manifest: Its manifest; names and shapes of the tensors must agree with the graph.
+        manifest: Its manifest; names and shapes of the tensors must agree with the graphs.
         threads: Threads within an operator, at least 1.
 
     Raises:
-        ModelMismatch: The graph's tensors are not those of the manifest.
+        ModelMismatch: The graphs' tensors are not those of the manifest.
     """
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     # Spinning threads would take the cores from whoever else lives on the robot's computer.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    session = onnxruntime.InferenceSession(str(directory / manifest.graph), options, providers=["CPUExecutionProvider"])
-    for what, specs, tensors in (
-        ("inputs", manifest.inputs, session.get_inputs()),
-        ("outputs", manifest.outputs, session.get_outputs()),
+    sessions = tuple(
+        onnxruntime.InferenceSession(str(directory / graph), options, providers=["CPUExecutionProvider"])
+        for graph in manifest.graphs
+    )
+    handed_on = {spec for session in sessions[:-1] for spec in _specs(session.get_outputs())}
+    inputs = [spec for session in sessions for spec in _specs(session.get_inputs()) if spec not in handed_on]
+    for what, specs, found in (
+        ("inputs", manifest.inputs, inputs),
+        ("outputs", manifest.outputs, _specs(sessions[-1].get_outputs())),
     ):
-        found = tuple(TensorSpec(t.name, tuple(t.shape)) for t in tensors)
-        if found != specs:
+        if tuple(found) != specs:
             raise ModelMismatch(
                 f"{directory / manifest.graph}: the graph's {what} are not those of its manifest.",
                 expected=str([s.name for s in specs]),
                 actual=str([s.name for s in found]),
             )
-    return session
+    return sessions
+
+
+def _specs(tensors: list[onnxruntime.NodeArg]) -> list[TensorSpec]:
+    return [TensorSpec(tensor.name, tuple(tensor.shape)) for tensor in tensors]

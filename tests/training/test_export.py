@@ -2,7 +2,6 @@ import copy
 import json
 import shutil
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -15,10 +14,11 @@ from service.core.condition import CONDITION_FIELDS
 from service.core.errors import ModelMismatch
 from service.core.manifest import Manifest
 from service.inference.artefacts import read_manifest
-from service.inference.session import open_session
+from service.inference.graph import Graph
+from service.inference.session import open_sessions
 from tests.training import tiny
 from training import export
-from training.export import PARITY_TOLERANCE, ExportError, condition_range_of, export_model
+from training.export import PARITY_TOLERANCE, ExportError, Part, condition_range_of, export_model
 
 RANGES = {field: (-1.0, 1.0) for field in CONDITION_FIELDS}
 FIGURES = {"split": "test", "samples": 4, "iou": 0.875}
@@ -54,22 +54,23 @@ def test_the_service_reads_what_was_exported(kind: str, folders: dict[str, tuple
     assert manifest.parity < 1e-4
     field, value = ("condition", 8) if kind == "deformation" else ("channels", [4, 4, 4, 4])
     assert manifest.configuration["network"][field] == value
-    assert {path.name for path in folder.iterdir()} == {"model.onnx", "manifest.json", "CARD.md"}
-    open_session(folder, manifest, threads=1)  # tensors are those of the manifest, or this raises
+    graphs = {"encoder.onnx", "generator.onnx"} if kind == "deformation" else {"model.onnx"}
+    assert {path.name for path in folder.iterdir()} == {*graphs, "manifest.json", "CARD.md"}
+    open_sessions(folder, manifest, threads=1)  # tensors are those of the manifest, or this raises
 
 
-def test_the_graph_is_one_file_of_standard_operators(folders: dict[str, tuple[Path, Manifest]]) -> None:
-    for folder, _ in folders.values():
-        graph = onnx.load(str(folder / "model.onnx"), load_external_data=False)
+def test_a_graph_is_one_file_of_standard_operators(folders: dict[str, tuple[Path, Manifest]]) -> None:
+    for path in [folder / graph for folder, manifest in folders.values() for graph in manifest.graphs]:
+        graph = onnx.load(str(path), load_external_data=False)
         assert {node.domain for node in graph.graph.node} <= {"", "ai.onnx"}
         assert all(tensor.data_location == onnx.TensorProto.DEFAULT for tensor in graph.graph.initializer)
         # Batch normalisation is folded into the convolutions.
         assert "BatchNormalization" not in {node.op_type for node in graph.graph.node}
 
 
-def test_the_graph_answers_for_any_number_of_loads_as_torch_does(folders: dict[str, tuple[Path, Manifest]]) -> None:
-    folder, _ = folders["deformation"]
-    session = onnxruntime.InferenceSession(str(folder / "model.onnx"), providers=["CPUExecutionProvider"])
+def test_the_graphs_answer_for_any_number_of_loads_as_torch_does(folders: dict[str, tuple[Path, Manifest]]) -> None:
+    folder, manifest = folders["deformation"]
+    graph = Graph(open_sessions(folder, manifest, threads=1), manifest)
     network = tiny.deformation_network()
     rest = torch.from_numpy(tiny.box(2)).float()[None, None]
     for loads in (1, 2, 5):
@@ -77,7 +78,7 @@ def test_the_graph_answers_for_any_number_of_loads_as_torch_does(folders: dict[s
         with torch.no_grad():
             expected = network(rest, condition, noise, prior)[0].numpy()
         given = {"rest": rest, "condition": condition, "noise": noise, "prior": prior}
-        (correction,) = session.run(["correction"], {name: tensor.numpy() for name, tensor in given.items()})
+        (correction,) = graph.run({name: tensor.numpy() for name, tensor in given.items()}).values()
         assert np.abs(expected).max() > 1e-3
         np.testing.assert_allclose(correction, expected, atol=1e-5)
 
@@ -99,11 +100,12 @@ def test_a_graph_that_differs_from_torch_is_not_written(
 ) -> None:
     write = export._write_onnx
 
-    def write_another(graph: nn.Module, tensors: Any, path: Path) -> None:
-        other = copy.deepcopy(graph)
-        head = other.network.head[-1] if kind == "reconstruction" else other.network.generator.own
-        torch.nn.init.constant_(head.bias, 0.5)
-        write(other, tensors, path)
+    def write_another(part: Part, folder: Path) -> None:
+        other = copy.deepcopy(part)
+        for name, parameter in other.graph.named_parameters():
+            if name.endswith(("head.0.bias", "generator.own.bias", "encoder.latent.bias")):
+                torch.nn.init.constant_(parameter, 0.5)
+        write(other, folder)
 
     monkeypatch.setattr(export, "_write_onnx", write_another)
     with pytest.raises(ExportError, match=r"differ by .* \(at most 1e-04\); not written"):
@@ -160,4 +162,4 @@ def test_ranges_are_those_of_the_training_set_and_of_its_mirror_images() -> None
 
 def test_only_the_two_networks_are_exported() -> None:
     with pytest.raises(ExportError, match="no served graph for a Linear"):
-        export._graph(nn.Linear(1, 1))
+        export._parts(nn.Linear(1, 1))

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from service.inference.artefacts import read_manifest
-from service.inference.session import open_session
+from service.inference.session import open_sessions
 from tests.training import tiny
 from training import quantise as module
 from training.data.batches import ViewSet
@@ -73,7 +73,7 @@ def test_the_manifest_says_so_and_the_service_opens_it(integers: Path, floats: P
     assert "8-bit integers" in (integers / "CARD.md").read_text()
     assert (manifest.parity, manifest.threshold, manifest.dataset) == (before.parity, 0.45, before.dataset)
     assert {path.name for path in integers.iterdir()} == {"model.onnx", "manifest.json", "CARD.md"}
-    open_session(integers, manifest, threads=1)
+    open_sessions(integers, manifest, threads=1)
 
 
 def test_a_graph_that_loses_too_much_is_refused(

@@ -240,16 +240,24 @@ class DeformationNetwork(nn.Module):
             prior: u(x) of the coarse solve, see `service.core.prior_lattice`.
         """
         middle, coarse, mean, log_variance = self.encoder(rest)
-        if rest.shape[0] == 1:  # as served: the number of loads is free, and nothing is copied
-            loads = condition.shape[0]
-            middle, coarse = (f.expand(loads, -1, -1, -1) for f in (middle, coarse))
-        else:
+        if rest.shape[0] > 1:
             each = condition.shape[0] // rest.shape[0]
             middle, coarse, mean, log_variance = (
                 f.repeat_interleave(each, dim=0) for f in (middle, coarse, mean, log_variance)
             )
-        z = mean + torch.exp(0.5 * log_variance) * noise
-        return self.generator(middle, coarse, z, condition, prior), mean, log_variance
+        deviation = torch.exp(0.5 * log_variance)
+        return self.generate(middle, coarse, mean, deviation, condition, noise, prior), mean, log_variance
+
+    def generate(
+        self, middle: Tensor, coarse: Tensor, mean: Tensor, deviation: Tensor, condition: Tensor, noise: Tensor,
+        prior: Tensor,
+    ) -> Float[Tensor, "loads 3 16 16 16"]:  # fmt: skip
+        """The correction, from what the encoder says of one body or of that of each load; σ is the deviation."""
+        if len(middle) == 1:  # as served: the number of loads is free, and nothing is copied
+            loads = condition.shape[0]
+            middle, coarse = (f.expand(loads, -1, -1, -1) for f in (middle, coarse))
+        correction: Tensor = self.generator(middle, coarse, mean + deviation * noise, condition, prior)
+        return correction
 
 
 def shrunk(network: DeformationNetwork, share: float) -> DeformationNetwork:

@@ -6,19 +6,20 @@ import pytest
 
 from service.bench.graphs import BareGraphs
 from service.bench.question import sample_question
-from service.inference import deformation
+from service.core.arrays import Occupancy
+from service.inference import bodies
 from service.settings import Settings
 
 
 def test_both_networks_and_the_whole_prior_are_asked_again(monkeypatch: pytest.MonkeyPatch) -> None:
     prepared: list[float] = []
 
-    class Counted(deformation.ElasticPrior):
-        def __init__(self, occupancy: deformation.Occupancy, poisson_ratio: float) -> None:
+    class Counted(bodies.ElasticPrior):
+        def __init__(self, occupancy: Occupancy, poisson_ratio: float) -> None:
             prepared.append(poisson_ratio)
             super().__init__(occupancy, poisson_ratio)
 
-    monkeypatch.setattr(deformation, "ElasticPrior", Counted)
+    monkeypatch.setattr(bodies, "ElasticPrior", Counted)
     bare = BareGraphs(Settings(), sample_question())
     assert set(bare.names) == {"reconstruction", "deformation", "prior"}
     before = len(prepared)

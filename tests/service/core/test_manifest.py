@@ -69,6 +69,18 @@ def test_a_reconstruction_network_has_no_condition_contract() -> None:
     assert Manifest.from_json(document(kind="reconstruction", condition_contract=None)).condition_contract is None
 
 
+def test_a_manifest_of_one_graph_need_not_say_so() -> None:
+    older = {key: value for key, value in document().items() if key not in ("encoder", "note")}
+    assert Manifest.from_json(older).graphs == ("model.onnx",)
+
+
+def test_of_two_graphs_both_must_have_a_digest() -> None:
+    both = document(encoder="encoder.onnx", files={"encoder.onnx": "cc", **MANIFEST.files})
+    assert Manifest.from_json(both).graphs == ("encoder.onnx", "model.onnx")
+    with pytest.raises(ModelMismatch, match=r"encoder\.onnx but has no digest"):
+        Manifest.from_json(document(encoder="encoder.onnx"))
+
+
 def test_the_graph_must_have_a_digest() -> None:
     with pytest.raises(ModelMismatch, match="no digest"):
         Manifest.from_json(document(files={"CARD.md": "bb"}))

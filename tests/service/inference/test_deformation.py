@@ -1,3 +1,6 @@
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -6,7 +9,9 @@ from service.core.displacement import body_box, corrected
 from service.core.lookup import Warp, warp
 from service.core.motion import motion
 from service.core.prior import ElasticPrior
-from service.inference.registry import Models
+from service.inference.bodies import KEPT_BODIES
+from service.inference.deformation import DeformationModel
+from service.inference.registry import Models, load_models
 
 BODY = np.zeros((64, 64, 64), bool)
 BODY[24:40, 20:44, 0:44] = True
@@ -70,7 +75,7 @@ def test_loads_of_several_materials_are_solved_each_with_its_own(models: Models)
     both = models.deformation.prior(BODY, [soft, stiff, soft])
     alone = models.deformation.prior(BODY, [stiff])
     np.testing.assert_allclose(both.forward[1], alone.forward[0], atol=1e-6)
-    np.testing.assert_array_equal(both.backward[0], both.backward[2])
+    np.testing.assert_array_equal(both.backward()[0], both.backward()[2])
     assert np.abs(both.forward[0] - both.forward[1]).max() > 1e-4
 
 
@@ -82,7 +87,7 @@ def test_a_body_asked_about_again_is_not_factorised_again(models: Models, monkey
             made.append(poisson_ratio)
             super().__init__(rest, poisson_ratio)
 
-    monkeypatch.setattr("service.inference.deformation.ElasticPrior", Counted)
+    monkeypatch.setattr("service.inference.bodies.ElasticPrior", Counted)
     body, other = BODY.copy(), BODY.copy()
     first = models.deformation.prior(body, [push()])
     again = models.deformation.prior(body, [push(0.6), push()])
@@ -103,13 +108,63 @@ def test_a_body_asked_about_again_is_prepared_once(models: Models, monkeypatch: 
             made.append(smooth)
             super().__init__(rest, smooth)
 
-    monkeypatch.setattr("service.inference.deformation.Warp", Counted)
+    monkeypatch.setattr("service.inference.bodies.Warp", Counted)
     body, smooth = BODY.copy(), 0.9 * BODY.astype(np.float32)
     first, again = (models.deformation(body, [push()]) for _ in range(2))
     np.testing.assert_array_equal(first.probability, again.probability)
     assert made == [None]
     models.deformation(body, [push()], smooth=smooth)
     assert len(made) == 2
+
+
+def test_a_body_asked_about_again_is_encoded_once(models: Models, monkeypatch: pytest.MonkeyPatch) -> None:
+    encoder, runs = models.deformation._encoder, []
+
+    class Counted:
+        def run(self, names: list[str], feeds: dict[str, np.ndarray]) -> list[np.ndarray]:
+            runs.append(feeds["rest"])
+            return list(encoder.run(names, feeds))
+
+    monkeypatch.setattr(models.deformation, "_encoder", Counted())
+    body = BODY.copy()
+    for conditions in ([push()], [push(0.6), push()]):
+        models.deformation(body, conditions)
+    (seen,) = runs
+    np.testing.assert_array_equal(seen[0, 0], body)
+
+
+@pytest.fixture(scope="module")
+def shared(models_directory: Path) -> DeformationModel:
+    """With a spare core, whether there is one or not."""
+    return load_models(models_directory, threads=1, cores=2).deformation
+
+
+@pytest.mark.parametrize("loads", [1, 2, 3])
+def test_with_a_spare_core_answers_are_the_same(models: Models, shared: DeformationModel, loads: int) -> None:
+    conditions = [push(0.4), push(0.5, (0.0, 0.0, -1.0), -3.0), push(0.6, (0.6, 0.8, 0.0), -2.8)][:loads]
+    if loads == 3:
+        conditions[1][7] = 0.1  # of another material
+    body = BODY.copy()
+    shared.begin(body, 0.3)
+    found, expected = shared(body, conditions), models.deformation(BODY, conditions)
+    np.testing.assert_array_equal(found.field, expected.field)
+    np.testing.assert_array_equal(found.probability, expected.probability)
+
+
+def test_any_thread_may_ask(shared: DeformationModel) -> None:
+    """More at once than there are cores, about more bodies than are kept, some about the same one."""
+    bodies = []
+    for height in range(20, 20 + 5 * (KEPT_BODIES + 1), 5):
+        body = np.zeros_like(BODY)
+        body[24:40, 20:44, :height] = True
+        bodies.append(body)
+    expected = [shared(body, [push()]) for body in bodies]
+    with ThreadPoolExecutor(6) as threads:
+        asked = [0, 0, *range(len(bodies)), 0]
+        answers = list(threads.map(lambda i: shared(bodies[i], [push()]), asked))
+    for i, answer in zip(asked, answers, strict=True):
+        np.testing.assert_array_equal(answer.field, expected[i].field)
+        np.testing.assert_array_equal(answer.probability, expected[i].probability)
 
 
 def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None:
@@ -119,13 +174,13 @@ def test_samples_of_the_latent_are_drawn_alike_each_time(models: Models) -> None
 
 
 def test_samples_are_averaged(models: Models) -> None:
-    session = models.deformation._session
-    (latent,) = [tensor.shape[1] for tensor in session.get_inputs() if tensor.name == "noise"]
+    (network,) = [graph for graph in models.graphs if graph.manifest.kind == "deformation"]
+    (latent,) = [tensor.shape[1] for tensor in network.manifest.inputs if tensor.name == "noise"]
     draws = np.random.default_rng(0).standard_normal((2, latent)).astype(np.float32)
     prior = models.deformation.prior(BODY, [push()])
     inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None], "prior": prior.forward}
-    corrections = [session.run(["correction"], {**inputs, "noise": draw[None]})[0][0] for draw in draws]
-    fields = [corrected(prior.backward[0], correction, body_box(BODY)) for correction in corrections]
+    corrections = [network.run({**inputs, "noise": draw[None]})["correction"][0] for draw in draws]
+    fields = [corrected(prior.backward()[0], correction, body_box(BODY)) for correction in corrections]
     answer = models.deformation(BODY, [push()], samples=2)
     np.testing.assert_allclose(answer.field[0], np.mean(fields, axis=0), atol=1e-6)
     np.testing.assert_allclose(answer.probability[0], np.mean([warp(BODY, f) for f in fields], axis=0), atol=1e-6)

@@ -65,6 +65,14 @@ def test_an_old_version_that_is_broken_does_not_matter(directory: Path, model_fo
     assert open_graphs(directory, threads=1)[1].manifest.version == "0.9.0"
 
 
+def test_a_deformation_in_one_graph_is_refused(directory: Path) -> None:
+    """As they were exported before 0.3.2."""
+    path = directory / "deformation" / "0.9.0" / "manifest.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "encoder": None}))
+    with pytest.raises(ModelMismatch, match="not in 2 graphs"):
+        open_graphs(directory, threads=1)
+
+
 def test_a_model_in_a_folder_of_another_name_or_version_is_refused(directory: Path) -> None:
     (directory / "deformation" / "0.9.0").rename(directory / "deformation" / "0.9.1")
     with pytest.raises(ModelMismatch, match=r"0\.9\.1 holds deformation 0\.9\.0"):

@@ -1,0 +1,84 @@
+"""Bodies that were asked about: a planner asks about the same one again, and what its loads share is kept."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from functools import partial
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Float32
+
+from service.core.arrays import Occupancy, Probability
+from service.core.condition import POISSON_RATIO_MAX
+from service.core.lookup import Warp
+from service.core.prior import ElasticPrior
+from service.inference.spare_cores import Once
+
+KEPT_BODIES = 4
+"""Of 1 to 5 MiB each."""
+
+KEPT_SOLVERS = 2
+"""Of each body, for as many Poisson's ratios."""
+
+Features: TypeAlias = dict[str, np.ndarray]
+
+
+class PreparedBody:
+    """A body, ready for any load; each of its parts is worked out when it is first asked for.
+
+    Args:
+        rest: The body.
+        smooth: See `service.core.lookup.Warp`.
+        encode: Encodes it for the network.
+
+    Attributes:
+        features: What the network makes of the body alone, by name.
+        warp: Its occupancy, to be looked up.
+    """
+
+    def __init__(
+        self, rest: Occupancy, smooth: Probability | None, encode: Callable[[Float32[np.ndarray, "..."]], Features]
+    ) -> None:
+        self.rest = rest
+        self.smooth = smooth
+        self.features = Once(lambda: encode(rest.astype(np.float32)[None, None]))
+        self.warp = Once(lambda: Warp(rest, smooth))
+        self._lock = threading.Lock()
+        self._solvers: dict[np.float32, Once[ElasticPrior]] = {}
+
+    def solver(self, poisson_ratio: float) -> Once[ElasticPrior]:
+        """Its factorised solve for a Poisson's ratio, as precise as in a condition."""
+        ratio = np.float32(min(poisson_ratio, POISSON_RATIO_MAX))
+        with self._lock:
+            found = self._solvers.pop(ratio, None) or Once(partial(ElasticPrior, self.rest, float(ratio)))
+            self._solvers[ratio] = found
+            if len(self._solvers) > KEPT_SOLVERS:
+                del self._solvers[next(iter(self._solvers))]
+            return found
+
+
+class Bodies:
+    """The bodies asked about last. Any thread may use them.
+
+    Args:
+        encode: See `PreparedBody`.
+    """
+
+    def __init__(self, encode: Callable[[Float32[np.ndarray, "..."]], Features]) -> None:
+        self._encode = encode
+        self._kept: list[PreparedBody] = []
+        self._lock = threading.Lock()
+
+    def find(self, rest: Occupancy, smooth: Probability | None) -> PreparedBody:
+        """A body, kept if it is the same array that was asked about before."""
+        with self._lock:
+            for body in self._kept:
+                if body.rest is rest and body.smooth is smooth:
+                    self._kept.remove(body)
+                    break
+            else:
+                body = PreparedBody(rest, smooth, self._encode)
+            self._kept = [*self._kept, body][-KEPT_BODIES:]
+            return body

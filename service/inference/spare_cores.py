@@ -1,0 +1,77 @@
+"""Work for the cores that the thread of a request leaves idle."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import Generic, TypeVar, cast
+
+from service.core.spread import Spread, Work, in_turn
+
+Result = TypeVar("Result")
+
+
+class Once(Generic[Result]):
+    """A result that is worked out once, by whichever thread comes first; one that comes meanwhile waits for it.
+
+    Args:
+        work: Works it out. What it raises is raised to who asked, and the next one has it tried again.
+    """
+
+    def __init__(self, work: Callable[[], Result]) -> None:
+        self._work: Callable[[], Result] | None = work
+        self._lock = threading.Lock()
+
+    def __call__(self) -> Result:
+        with self._lock:
+            if self._work is not None:
+                self._result = self._work()
+                self._work = None  # nor is kept what it was worked out from
+            return self._result
+
+
+class SpareCores:
+    """Threads that are kept for work that a request can do without for a while.
+
+    Whoever needs the result asks for it (`Once`) and, if none of the threads has come to it, works it out himself. So
+    nobody waits for what waits in a queue: with all threads busy, or none, everything is done in turn. The threads end
+    with this object, or with the process.
+
+    Args:
+        count: Threads: one less than there are cores. 0 does everything in turn.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._threads = ThreadPoolExecutor(count, "spare-core") if count else None
+
+    def offer(self, once: Once[Result]) -> Once[Result]:
+        """Have something worked out meanwhile, if a thread has time; returns it."""
+        if self._threads is not None:
+            with contextlib.suppress(RuntimeError):  # a process on its way out takes nothing in any more
+                self._threads.submit(once)
+        return once
+
+    def spread(self, work: Work, end: int) -> None:
+        """`service.core.spread.Spread`: one half here, the other in a thread that has time, or else here, too."""
+        if self._threads is None or end < 2:
+            in_turn(work, end)
+            return
+        upper = self.offer(Once(partial(work, end // 2, end)))
+        work(0, end // 2)
+        upper()
+
+    def each(self, work: Callable[[int, Spread], Result], count: int) -> list[Result]:
+        """Results for the numbers 0 to before `count`: many are shared out, of a single one its parts may be."""
+        if count == 1:
+            return [work(0, self.spread)]
+        results: list[Result | None] = [None] * count
+
+        def some(first: int, end: int) -> None:
+            for i in range(first, end):
+                results[i] = work(i, in_turn)
+
+        self.spread(some, count)
+        return cast(list[Result], results)
