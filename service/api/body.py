@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-import sys
 import time
 from collections.abc import AsyncGenerator
 
-from starlette.datastructures import FormData, UploadFile
-from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
+from service.api.multipart import parts_of
 from service.core.errors import DeadlineExceeded, InvalidRequest, PayloadTooLarge
 
 DRAIN_S = 2.0
@@ -20,11 +18,6 @@ A connection closed with unread data is reset, and a reset takes the reply away 
 """
 
 FILE_PARTS = ("depth", "mask")
-
-
-class _InMemoryParser(MultiPartParser):
-    # The body is bounded already, and a frame that goes through a file costs more than its decoding.
-    spool_max_size = sys.maxsize
 
 
 async def read_body(request: Request, max_bytes: int, deadline: float) -> bytes:
@@ -45,31 +38,18 @@ async def read_multipart(request: Request, max_bytes: int, deadline: float) -> t
         PayloadTooLarge: See `read_body`.
         DeadlineExceeded: See `read_body`.
     """
-    stream = _limited(request, max_bytes, deadline)
-    parser = _InMemoryParser(request.headers, stream, max_files=8, max_fields=8, max_part_size=max_bytes)
-    try:
-        form = await parser.parse()
-    except MultiPartException as error:
-        raise InvalidRequest(f"The body is not multipart/form-data: {error.message}", expected="parts") from None
-    try:
-        parts = await _parts(form)
-    finally:
-        await form.close()
-    if "request" not in parts:
-        raise InvalidRequest("The part `request` is missing.", field="request", expected="a part with JSON")
-    return parts.pop("request"), parts
-
-
-async def _parts(form: FormData) -> dict[str, bytes]:
+    body = await read_body(request, max_bytes, deadline)
     parts: dict[str, bytes] = {}
-    for name, value in form.multi_items():
+    for name, content in parts_of(body, request.headers.get("content-type", "")):
         if name not in ("request", *FILE_PARTS):
             short = name[:80]
             raise InvalidRequest(f"`{short}` is not a part of this request.", field=short, expected="no such part")
         if name in parts:
             raise InvalidRequest(f"The part `{name}` is there twice.", field=name, expected="one part")
-        parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
-    return parts
+        parts[name] = content
+    if "request" not in parts:
+        raise InvalidRequest("The part `request` is missing.", field="request", expected="a part with JSON")
+    return parts.pop("request"), parts
 
 
 async def _limited(request: Request, max_bytes: int, deadline: float) -> AsyncGenerator[bytes, None]:

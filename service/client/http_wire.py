@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import json
 import secrets
 import time
@@ -11,6 +10,7 @@ from email.utils import parsedate_to_datetime
 from typing import Any
 
 import numpy as np
+import pybase64
 
 from service.client.displacement import DisplacementField
 from service.client.errors import ServiceUnreachable, UnexpectedReply, problem_error
@@ -100,7 +100,7 @@ def _image(image: Image) -> dict[str, Any]:
 def _shape(shape: Shape) -> dict[str, Any]:
     return {
         "encoding": "bits",
-        "data": base64.b64encode(shape.bits).decode("ascii"),
+        "data": pybase64.b64encode_as_string(shape.bits),
         "voxel_size_m": float(shape.voxel_size_m),
         "camera_from_grid": np.asarray(shape.camera_from_grid, np.float64).tolist(),
     }
@@ -195,7 +195,7 @@ def _push_result(load: Mapping[str, Any], grid: Grid) -> PushResult:
         grid=grid,
         occupancy=deformed,
         probability=_levels(load, "probability"),
-        displacement=travelled and displacement_from(base64.b64decode(travelled["data"]), deformed),
+        displacement=travelled and displacement_from(_decoded(travelled), deformed),
         max_displacement_m=load["max_displacement_m"],
         mean_displacement_m=load["mean_displacement_m"],
         load_number=load["load_number"],
@@ -204,11 +204,15 @@ def _push_result(load: Mapping[str, Any], grid: Grid) -> PushResult:
 
 
 def _bits(document: Mapping[str, Any], name: str) -> Occupancy | None:
-    return occupancy_from(base64.b64decode(document[name]["data"])) if name in document else None
+    return occupancy_from(_decoded(document[name])) if name in document else None
 
 
 def _levels(document: Mapping[str, Any], name: str) -> Probability | None:
-    return probability_from(base64.b64decode(document[name]["data"])) if name in document else None
+    return probability_from(_decoded(document[name])) if name in document else None
+
+
+def _decoded(part: Mapping[str, Any]) -> bytes:
+    return pybase64.b64decode(part["data"], validate=True)
 
 
 def occupancy_from(data: bytes) -> Occupancy:
