@@ -192,6 +192,7 @@ class Pipeline:
             found = segment(
                 depth_m, camera, mask, source.up, contact_m=contacts[0] if contacts else None, roi=source.roi
             )
+            crop = crop_around(found.pixels, depth_m, camera)
         with watch.stage("voxelize"):
             up = IMAGE_UP if found.up is None else found.up
             offset_m = found.support.offset_m if found.support else -float((found.points @ up.astype(np.float32)).min())
@@ -205,7 +206,6 @@ class Pipeline:
             probability = resample(seen, view.grid, grid)
             observed = voxelize_points(found.points, grid)
             occupancy = cover(probability > cut, observed)
-        crop = crop_around(found.pixels, depth_m, camera)
         return Body(grid, observed, probability, occupancy, found.flags, crop, smooth=probability), contacts
 
     def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:

@@ -309,5 +309,5 @@ def _depth_near(column: int, row: int, depth_m: DepthImage, mask: Mask | None) -
         readings = depth_m[window] if mask is None else depth_m[window][mask[window]]
         readings = readings[np.isfinite(readings)]
         if len(readings) >= (1 if radius == 0 else 3):
-            return float(np.median(readings))
+            return float(readings[0] if len(readings) == 1 else np.median(readings))
     return None

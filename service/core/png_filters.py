@@ -68,7 +68,10 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
         elif kind == PAETH:
             for column in range(width):
                 up = np.int64(above[column])
-                high = (_paeth(high, up >> 8, corner_high) + filtered[2 * column + 1]) & 255
+                # High bytes seldom change, and above two of the same the guess is what is on the left.
+                if up >> 8 != corner_high:
+                    high = _paeth(high, up >> 8, corner_high)
+                high = (high + filtered[2 * column + 1]) & 255
                 low = (_paeth(low, up & 255, corner_low) + filtered[2 * column + 2]) & 255
                 corner_high, corner_low = up >> 8, up & 255
                 line[column] = high << 8 | low

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float32, Float64, UInt64
 
 from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Probability, Transform, Vector3
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
 from service.core.grids import Grid, centres_seen_from, cross
+
+Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
+"""The voxels of a grid, eight in one number."""
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -233,17 +237,27 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     filling all of them would fatten it by half a voxel. Farther than one voxel off the body, a measured point shows
     something that the body lacks.
     """
-    covered = occupancy.copy()
-    _cover(occupancy, np.flatnonzero(observed > occupancy), covered)
+    filled, shown = np.ascontiguousarray(occupancy), np.ascontiguousarray(observed)
+    covered = filled.copy()
+    _cover(filled, shown, filled.view(np.uint64), shown.view(np.uint64), covered)
     return covered
 
 
 @compiled
-def _cover(occupancy: Occupancy, missing: Int[np.ndarray, " n"], covered: Occupancy) -> None:
-    """Fill the missing voxels, given by their place in memory, that have no filled neighbour."""
-    for place in missing:
-        i, j, k = place // GRID_SIZE**2, place // GRID_SIZE % GRID_SIZE, place % GRID_SIZE
-        covered[i, j, k] = not _is_near(occupancy, i, j, k)
+def _cover(
+    occupancy: Occupancy, observed: Occupancy, filled_eights: Eights, observed_eights: Eights, covered: Occupancy
+) -> None:
+    """Fill the observed voxels that are not filled and have no filled neighbour."""
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            missing = np.uint64(0)
+            for eight in range(GRID_SIZE // 8):
+                missing |= observed_eights[i, j, eight] & ~filled_eights[i, j, eight]
+            if missing == 0:
+                continue
+            for k in range(GRID_SIZE):
+                if observed[i, j, k] and not occupancy[i, j, k]:
+                    covered[i, j, k] = not _is_near(occupancy, i, j, k)
 
 
 @compiled
