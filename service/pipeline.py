@@ -40,6 +40,7 @@ from service.core.spread import Spread
 from service.core.voxels import cover, voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
+from service.inference.spare_cores import Once
 from service.reconstructions import Reconstructions
 
 KNOWN_SHAPE_THRESHOLD = 0.5
@@ -228,8 +229,10 @@ class Pipeline:
     ) -> tuple[LoadResult, ...]:
         """Every load on its own, all in one batch of the network."""
         with watch.stage("deform"):
+            surface = self._deformation.spare.offer(Once(lambda: body.surface_m))
             if any(load.force_n.any() for load in request.loads):
-                self._deformation.begin(body.occupancy, request.material.poisson_ratio, body.smooth)
+                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.smooth)
+            surface()
             questions = [
                 self._question(body, load, contact, request.material, f"loads[{i}]")
                 for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))

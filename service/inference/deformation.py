@@ -73,9 +73,12 @@ class DeformationModel:
         self._latent = int(next(i for i in generator.get_inputs() if i.name == "noise").shape[1])
         self._bodies = Bodies(self._encode)
 
-    def begin(self, rest: Occupancy, poisson_ratio: float, smooth: Probability | None = None) -> None:
-        """A question about a body is going to be asked: spare cores may prepare the coarse solve already."""
-        self.spare.offer(self._bodies.find(rest, smooth).solver(poisson_ratio))
+    def prepare(self, rest: Occupancy, poisson_ratio: float, smooth: Probability | None = None) -> None:
+        """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides."""
+        body = self._bodies.find(rest, smooth)
+        self.spare.offer(body.features)
+        self.spare.offer(body.warp)
+        body.solver(poisson_ratio)()
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition], smooth: Probability | None = None) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
@@ -109,15 +112,13 @@ class DeformationModel:
             smooth: See `service.core.lookup.Warp`.
         """
         body = self._bodies.find(rest, smooth)
-        self.spare.offer(body.features)
-        warp = body.warp()
         known = prior or self.prior(rest, conditions, smooth)
         inputs = {**body.features(), "condition": np.stack(conditions), "prior": known.forward}
         loads = len(conditions)
 
         def answer(noise: Float32[np.ndarray, "n latent"]) -> Deformation:
             (correction,) = self._session.run(["correction"], {**inputs, "noise": noise})
-            backward = known.backward()
+            backward, warp = known.backward(), body.warp()
             field = np.empty_like(backward)
             probability = np.empty((loads, *rest.shape), np.float32)
 

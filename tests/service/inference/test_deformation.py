@@ -145,7 +145,7 @@ def test_with_a_spare_core_answers_are_the_same(models: Models, shared: Deformat
     if loads == 3:
         conditions[1][7] = 0.1  # of another material
     body = BODY.copy()
-    shared.begin(body, 0.3)
+    shared.prepare(body, 0.3)
     found, expected = shared(body, conditions), models.deformation(BODY, conditions)
     np.testing.assert_array_equal(found.field, expected.field)
     np.testing.assert_array_equal(found.probability, expected.probability)
