@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import grpc
+import orjson
 
 from service.api.generated import deformation_pb2 as pb
 from service.api.generated.deformation_pb2_grpc import DeformationServiceStub
@@ -156,7 +156,7 @@ class Http:
             return Reply(type(error).__name__.lower(), time.perf_counter())
         finished = time.perf_counter()
         self._idle.append((reader, writer))
-        document = json.loads(body)
+        document = orjson.loads(body)
         if status != 200:
             return Reply(str(document.get("code", status)), finished)
         return Reply(OK, finished, document["timing_ms"])
