@@ -9,8 +9,8 @@ from service.commands.exits import EPILOG
 from service.commands.options import models_options, settings_of
 
 _SETTINGS = (
-    "host", "http_port", "grpc_port", "workers", "log_level", "log_format", "reconstruction_bytes", "reconstruction_lifetime_s",
-    "tracing_endpoint",
+    "host", "http_port", "grpc_port", "workers", "log_level", "log_format", "reconstruction_bytes",
+    "reconstruction_lifetime_s", "tracing_endpoint",
 )  # fmt: skip
 
 

@@ -1,6 +1,6 @@
 """PNG images of one grey channel, checked chunk by chunk before they are decoded.
 
-Depth images of 16 bits are decoded here, in a third of OpenCV's time; all others, and what is unusual about one, are
+Images of 8 and 16 bits are decoded here, in a third of OpenCV's time; all others, and what is unusual about one, are
 left to OpenCV.
 """
 
@@ -12,16 +12,16 @@ from dataclasses import dataclass
 import cv2
 import deflate
 import numpy as np
-from jaxtyping import Shaped, UInt16
+from jaxtyping import Shaped
 
 from service.core.errors import InvalidFrame
 from service.core.limits import FrameLimits, check_size
-from service.core.png_filters import unfilter
+from service.core.png_filters import unfilter, unfilter_bytes
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _COLOURS = {0: "grey", 2: "colour", 3: "palette", 4: "grey with alpha", 6: "colour with alpha"}
 _PLAIN_CHUNKS = {b"IHDR", b"IDAT", b"IEND", b"pHYs", b"tEXt", b"zTXt", b"iTXt", b"tIME", b"gAMA", b"sRGB", b"cHRM"}
-"""Chunks that change nothing about counts of 16 bits."""
+"""Chunks that change nothing about a pixel's number."""
 
 
 @dataclass(frozen=True)
@@ -64,9 +64,9 @@ def decode_grey_png(
             expected=f"{bit_depths[-1]}-bit grey",
             actual=f"{bits}-bit {_COLOURS.get(colour, f'colour type {colour}')}",
         )
-    counts = _decode_counts(contents, camera_size) if bits == 16 else None
-    if counts is not None:
-        return counts
+    pixels = _decode_pixels(contents, camera_size) if bits >= 8 else None
+    if pixels is not None:
+        return pixels
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
@@ -77,13 +77,13 @@ def decode_grey_png(
     return np.asarray(image)
 
 
-def _decode_counts(contents: _Contents, size: tuple[int, int]) -> UInt16[np.ndarray, "height width"] | None:
-    """The counts of a 16-bit image that is as nearly all are; None where OpenCV had better see for itself."""
+def _decode_pixels(contents: _Contents, size: tuple[int, int]) -> Shaped[np.ndarray, "height width"] | None:
+    """The pixels of an image that is as nearly all are; None where OpenCV had better see for itself."""
     # Compression, filter and interlace method: those of every file that is not interlaced.
     if contents.methods != b"\0\0\0" or not contents.names <= _PLAIN_CHUNKS:
         return None
     width, height = size
-    expected = height * (1 + 2 * width)
+    expected = height * (1 + contents.bits // 8 * width)
     try:
         # More bytes than there should be are an error and never written: a small file may hold gigabytes of zeros.
         rows = deflate.zlib_decompress(b"".join(contents.pixels), expected)
@@ -91,8 +91,12 @@ def _decode_counts(contents: _Contents, size: tuple[int, int]) -> UInt16[np.ndar
         return None
     if len(rows) != expected:
         return None
-    counts = np.empty((height, width), np.uint16)
-    return counts if unfilter(np.frombuffer(rows, np.uint8).reshape(height, -1), counts) else None
+    filtered = np.frombuffer(rows, np.uint8).reshape(height, -1)
+    if contents.bits == 16:
+        counts = np.empty((height, width), np.uint16)
+        return counts if unfilter(filtered, counts) else None
+    grey = np.empty((height, width), np.uint8)
+    return grey if unfilter_bytes(filtered, grey) else None
 
 
 def _check_chunks(data: bytes | memoryview, field: str, camera_size: tuple[int, int], limits: FrameLimits) -> _Contents:

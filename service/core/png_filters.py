@@ -78,3 +78,38 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
         else:
             return False
     return True
+
+
+@compiled
+def unfilter_bytes(rows: UInt8[np.ndarray, "height filtered"], grey: UInt8[np.ndarray, "height width"]) -> bool:
+    """The same for an image of one 8-bit channel."""
+    width = grey.shape[1]
+    nothing_above = np.zeros(width, np.uint8)
+    for row in range(len(grey)):
+        filtered, line = rows[row], grey[row]
+        above = grey[row - 1] if row > 0 else nothing_above
+        kind = filtered[0]
+        left = corner = np.int64(0)
+        if kind == NONE:
+            for column in range(width):
+                line[column] = filtered[column + 1]
+        elif kind == SUB:
+            for column in range(width):
+                left = (left + filtered[column + 1]) & 255
+                line[column] = left
+        elif kind == UP:
+            for column in range(width):
+                line[column] = above[column] + filtered[column + 1]
+        elif kind == AVERAGE:
+            for column in range(width):
+                left = (((left + above[column]) >> 1) + filtered[column + 1]) & 255
+                line[column] = left
+        elif kind == PAETH:
+            for column in range(width):
+                up = np.int64(above[column])
+                left = (_paeth(left, up, corner) + filtered[column + 1]) & 255
+                corner = up
+                line[column] = left
+        else:
+            return False
+    return True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from service.core.png_filters import unfilter
+from service.core.png_filters import unfilter, unfilter_bytes
 
 
 def predictor(kind: int, left: int, up: int, corner: int) -> int:
@@ -16,15 +16,16 @@ def predictor(kind: int, left: int, up: int, corner: int) -> int:
     return (0, left, up, (left + up) // 2)[kind]
 
 
-def filtered(counts: np.ndarray, kinds: list[int]) -> np.ndarray:
-    """The bytes of each row behind its filter, two bytes a pixel, the high one first."""
-    plain = np.pad(counts.astype(">u2").view(np.uint8).astype(int), ((1, 0), (2, 0)))
-    rows = np.empty((len(counts), 1 + 2 * counts.shape[1]), np.uint8)
+def filtered(pixels: np.ndarray, kinds: list[int]) -> np.ndarray:
+    """The bytes of each row behind its filter, of each pixel the high one first."""
+    size = pixels.itemsize
+    plain = np.pad(pixels.astype(pixels.dtype.newbyteorder(">")).view(np.uint8).astype(int), ((1, 0), (size, 0)))
+    rows = np.empty((len(pixels), 1 + size * pixels.shape[1]), np.uint8)
     for row, kind in enumerate(kinds):
         rows[row, 0] = kind
-        for place in range(2, plain.shape[1]):
-            left, up, corner = plain[row + 1, place - 2], plain[row, place], plain[row, place - 2]
-            rows[row, place - 1] = (plain[row + 1, place] - predictor(kind, left, up, corner)) % 256
+        for place in range(size, plain.shape[1]):
+            left, up, corner = plain[row + 1, place - size], plain[row, place], plain[row, place - size]
+            rows[row, place - size + 1] = (plain[row + 1, place] - predictor(kind, left, up, corner)) % 256
     return rows
 
 
@@ -37,9 +38,14 @@ def test_every_filter_is_undone_whatever_comes_above_it(first: int) -> None:
     found = np.empty_like(counts)
     assert unfilter(filtered(counts, kinds), found)
     np.testing.assert_array_equal(found, counts)
+    grey = (counts % 251).astype(np.uint8)
+    found = np.empty_like(grey)
+    assert unfilter_bytes(filtered(grey, kinds), found)
+    np.testing.assert_array_equal(found, grey)
 
 
 def test_a_filter_that_is_none_is_told() -> None:
     rows = np.zeros((2, 7), np.uint8)
     rows[1, 0] = 5
     assert not unfilter(rows, np.empty((2, 3), np.uint16))
+    assert not unfilter_bytes(rows, np.empty((2, 6), np.uint8))
