@@ -148,6 +148,10 @@ class Pipeline:
         Raises:
             PhysNetError: A leaf of the tree in `service.core.errors`, naming the field at fault.
         """
+        with self._deformation.spare.answering():
+            return self._answer(request)
+
+    def _answer(self, request: DeformRequest) -> DeformResult:
         watch = Stopwatch()
         match request.source:
             case EarlierReconstruction() as earlier:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Generic, TypeVar, cast
@@ -37,8 +37,9 @@ class SpareCores:
     """Threads that are kept for work that a request can do without for a while.
 
     Whoever needs the result asks for it (`Once`) and, if none of the threads has come to it, works it out himself. So
-    nobody waits for what waits in a queue: with all threads busy, or none, everything is done in turn. The threads end
-    with this object, or with the process.
+    nobody waits for what waits in a queue: with all threads busy, or none, everything is done in turn. So it is when as
+    many requests are answered at once as there are cores: sharing would only cost. The threads end with this object, or
+    with the process.
 
     Args:
         count: Threads: one less than there are cores. 0 does everything in turn.
@@ -46,17 +47,35 @@ class SpareCores:
 
     def __init__(self, count: int) -> None:
         self._threads = ThreadPoolExecutor(count, "spare-core") if count else None
+        self._count = count
+        self._requests = 0
+        self._lock = threading.Lock()
+
+    @contextlib.contextmanager
+    def answering(self) -> Iterator[None]:
+        """While it lasts, a request has a core of its own."""
+        with self._lock:
+            self._requests += 1
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._requests -= 1
+
+    @property
+    def _idle(self) -> bool:
+        return self._threads is not None and self._requests <= self._count
 
     def offer(self, once: Once[Result]) -> Once[Result]:
         """Have something worked out meanwhile, if a thread has time; returns it."""
-        if self._threads is not None:
+        if self._threads is not None and self._idle:
             with contextlib.suppress(RuntimeError):  # a process on its way out takes nothing in any more
                 self._threads.submit(once)
         return once
 
     def spread(self, work: Work, end: int) -> None:
         """`service.core.spread.Spread`: one half here, the other in a thread that has time, or else here, too."""
-        if self._threads is None or end < 2:
+        if not self._idle or end < 2:
             in_turn(work, end)
             return
         upper = self.offer(Once(partial(work, end // 2, end)))

@@ -76,6 +76,21 @@ def test_without_spare_cores_all_is_done_in_turn() -> None:
     assert done[1:] == [(9, 9)]
 
 
+def test_with_a_request_for_each_core_none_is_spare() -> None:
+    spare, parts = SpareCores(1), list[tuple[int, int]]()
+
+    def spread() -> list[tuple[int, int]]:
+        parts.clear()
+        spare.spread(lambda first, end: parts.append((first, end)), 4)
+        return sorted(parts)
+
+    with spare.answering():
+        assert spread() == [(0, 2), (2, 4)]
+        with spare.answering():
+            assert spread() == [(0, 4)]
+        assert spread() == [(0, 2), (2, 4)]
+
+
 @pytest.mark.parametrize("count", [0, 1])
 @pytest.mark.parametrize("numbers", [1, 2, 5])
 def test_each_number_is_worked_on_and_only_a_single_one_in_parts(count: int, numbers: int) -> None:
