@@ -197,7 +197,7 @@ class Pipeline:
             found = segment(
                 depth_m, camera, mask, source.up, contact_m=contacts[0] if contacts else None, roi=source.roi
             )
-            crop = crop_around(found.pixels, depth_m, camera)
+            crop = crop_around(found.box, depth_m, camera)
         with watch.stage("voxelize"):
             up = IMAGE_UP if found.up is None else found.up
             offset_m = found.support.offset_m if found.support else -float((found.points @ up.astype(np.float32)).min())

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
-import numpy as np
-
-from service.core.arrays import DepthImage, Mask, Vector3
+from service.core.arrays import DepthImage, Vector3
 from service.core.camera import PIXEL_WINDOW_RADII, Intrinsics, pixel_to_point
+from service.core.depth_view import Window
 from service.core.errors import InvalidRequest
 
 MARGIN = 0.5
@@ -48,10 +46,10 @@ class DepthCrop:
         return pixel_to_point(u, v, self.depth_m, camera, corner_px=self.corner_px, field=field)
 
 
-def crop_around(pixels: Mask, depth_m: DepthImage, intrinsics: Intrinsics) -> DepthCrop:
-    """The window around an object's pixels, at least one, from which every contact on or near it can be read."""
-    column, row, columns, rows = cv2.boundingRect(pixels.view(np.uint8))
-    margin = int(MARGIN * max(rows, columns)) + PIXEL_WINDOW_RADII[-1] + 1
-    top, left = max(0, row - margin), max(0, column - margin)
-    window = depth_m[top : row + rows + margin, left : column + columns + margin]
+def crop_around(box: Window, depth_m: DepthImage, intrinsics: Intrinsics) -> DepthCrop:
+    """The window from which every contact on or near an object can be read, around the box that holds its pixels."""
+    rows, columns = box
+    margin = int(MARGIN * max(rows.stop - rows.start, columns.stop - columns.start)) + PIXEL_WINDOW_RADII[-1] + 1
+    top, left = max(0, rows.start - margin), max(0, columns.start - margin)
+    window = depth_m[top : rows.stop + margin, left : columns.stop + margin]
     return DepthCrop(intrinsics, (left, top), window.copy())

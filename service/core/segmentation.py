@@ -7,6 +7,7 @@ fine pass takes the object's pixels at full resolution inside its window.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int32
@@ -59,7 +60,9 @@ class Segment:
 
     Attributes:
         points: Points of its visible surface, camera frame, metres.
-        pixels: The pixels they come from, one for each point, in row-major order.
+        box: The smallest window of the image that holds the pixels they come from.
+        inside: Which pixels of that window these are, one for each point, in row-major order.
+        image_shape: Rows and columns of the image.
         support: The plane it stands on; None where it is unknown and `up` is too.
         up: Unit vector against gravity, the support's normal; None where unknown.
         flags: `support_not_seen` (the support is put at the object's lowest point along the given `up`), `up_unknown`
@@ -67,10 +70,19 @@ class Segment:
     """
 
     points: Points
-    pixels: Mask
+    box: Window
+    inside: Bool[np.ndarray, "rows columns"]
+    image_shape: tuple[int, int]
     support: SupportPlane | None
     up: Vector3 | None
     flags: frozenset[str]
+
+    @cached_property
+    def pixels(self) -> Mask:
+        """The pixels of the whole image that the points come from."""
+        pixels = np.zeros(self.image_shape, np.bool_)
+        pixels[self.box] = self.inside
+        return pixels
 
 
 def segment(
@@ -255,19 +267,20 @@ def _finish(
     """The object that the chosen pixels of a view at full resolution show."""
     points = view.points(shown)
     _require_count(len(points), "Too few points are left of the object.", "depth")
-    pixels = np.zeros((intrinsics.height, intrinsics.width), np.bool_)
-    (top, left), (rows, columns) = view.first_pixel, shown.shape
-    pixels[top : top + rows, left : left + columns] = shown
+    around, image_shape = window_around(shown), (intrinsics.height, intrinsics.width)
+    rows, columns = (
+        slice(first + side.start, first + side.stop) for side, first in zip(around, view.first_pixel, strict=True)
+    )
     flags = set()
-    borders = zip(window_around(shown), view.first_pixel, pixels.shape, strict=True)
-    if any(min(first + side.start, size - first - side.stop) < BORDER_PX for side, first, size in borders):
+    if min(rows.start, image_shape[0] - rows.stop, columns.start, image_shape[1] - columns.stop) < BORDER_PX:
         flags.add("object_cut_by_border")
     plane = None if support is None else support.answered
     if plane is None:
         flags.add("up_unknown" if up is None else "support_not_seen")
         # Half a percent of the points may be noise below the object.
         plane = None if up is None else SupportPlane(up, -float(np.percentile(points @ up.astype(np.float32), 0.5)))
-    return Segment(points, pixels, plane, None if plane is None else plane.normal, frozenset(flags))
+    up = None if plane is None else plane.normal
+    return Segment(points, (rows, columns), shown[around], image_shape, plane, up, frozenset(flags))
 
 
 def _distance_to_middle(
