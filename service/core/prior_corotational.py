@@ -77,7 +77,7 @@ class CorotationalSolver:
             _unroll(self.cells, places[0], unrolled)
             solve_at_rest(self.factor, unrolled, places[0])
         for step in range(steps):
-            directions[step] = self.correction(places[step], force)
+            _correct(self.cells, self.factor, places[step], force, directions[step])
             next_places(places, directions, step)
         u = places[steps]
         longest = np.abs(u).max(axis=(1, 2))

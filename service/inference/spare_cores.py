@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import queue
 import threading
+import weakref
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from service.core.spread import Spread, Work, in_turn
 
 Result = TypeVar("Result")
+
+LONGEST_S = 1.0
+"""That the end waits for what a thread has begun."""
 
 
 class Once(Generic[Result]):
@@ -46,10 +50,18 @@ class SpareCores:
     """
 
     def __init__(self, count: int) -> None:
-        self._threads = ThreadPoolExecutor(count, "spare-core") if count else None
         self._count = count
         self._requests = 0
         self._lock = threading.Lock()
+        # An executor of the standard library needs 35 µs to take one thing in, this 8, and a question offers seven.
+        self._offered: queue.SimpleQueue[Once[Any] | None] = queue.SimpleQueue()
+        threads = [
+            threading.Thread(target=_work_on, args=(self._offered,), name=f"spare-core-{i}", daemon=True)
+            for i in range(count)
+        ]
+        for thread in threads:
+            thread.start()
+        weakref.finalize(self, _end, self._offered, threads)
 
     @contextlib.contextmanager
     def answering(self) -> Iterator[None]:
@@ -64,13 +76,12 @@ class SpareCores:
 
     @property
     def _idle(self) -> bool:
-        return self._threads is not None and self._requests <= self._count
+        return 0 < self._count >= self._requests
 
     def offer(self, once: Once[Result]) -> Once[Result]:
         """Have something worked out meanwhile, if a thread has time; returns it."""
-        if self._threads is not None and self._idle:
-            with contextlib.suppress(RuntimeError):  # a process on its way out takes nothing in any more
-                self._threads.submit(once)
+        if self._idle:
+            self._offered.put(once)
         return once
 
     def spread(self, work: Work, end: int) -> None:
@@ -94,3 +105,20 @@ class SpareCores:
 
         self.spread(some, count)
         return cast(list[Result], results)
+
+
+def _work_on(offered: queue.SimpleQueue[Once[Any] | None]) -> None:
+    """What each thread does; it does not know its owner, so that it ends with it."""
+    while (once := offered.get()) is not None:
+        with contextlib.suppress(Exception):  # whoever asks for the result is told
+            once()
+        del once  # nor is anything kept alive until the next
+
+
+def _end(offered: queue.SimpleQueue[Once[Any] | None], threads: list[threading.Thread]) -> None:
+    """Let them finish what they have begun: a process must not end within a network's run."""
+    for _ in threads:
+        offered.put(None)
+    for thread in threads:
+        if thread is not threading.current_thread():
+            thread.join(LONGEST_S)
