@@ -11,7 +11,7 @@ from jaxtyping import Float32, Int32, Int64, UInt8, UInt64
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
 from service.core.compiled import compiled
 from service.core.errors import EmptyObject
-from service.core.grids import Grid, cross, invert_rigid
+from service.core.grids import Grid, cross
 from service.core.lookup import between
 
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
@@ -77,7 +77,7 @@ def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
 
 def resample(probability: Probability, source: Grid, target: Grid) -> Probability:
     """Trilinear lookup of one grid at the voxel centres of another; zero outside the source."""
-    source_from_target = invert_rigid(source.camera_from_grid) @ target.camera_from_grid
+    source_from_target = source.grid_from_camera @ target.camera_from_grid
     steps = source_from_target[:3, :3] * (target.pitch_m / source.pitch_m)
     origin = source_from_target[:3, 3] / source.pitch_m - 0.5 + steps.sum(axis=1) / 2  # where the first centre lies
     result = np.zeros((GRID_SIZE,) * 3, np.float32)

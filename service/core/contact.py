@@ -11,7 +11,7 @@ from jaxtyping import Float64, UInt8
 from service.core.arrays import GRID_SIZE, Occupancy, Vector3
 from service.core.compiled import compiled
 from service.core.errors import ContactOffBody
-from service.core.grids import Grid, filled_voxels, invert_rigid
+from service.core.grids import Grid, filled_voxels
 
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 
@@ -39,7 +39,7 @@ def snap_contact(
     Raises:
         ContactOffBody: It is farther than 0.15 edges of the grid from the surface.
     """
-    grid_from_camera = invert_rigid(grid.camera_from_grid)
+    grid_from_camera = grid.grid_from_camera
     local = grid_from_camera[:3, :3] @ contact_m + grid_from_camera[:3, 3]
     squared = np.square(surface_m - local[:, None]).sum(axis=0)
     nearest = int(np.argmin(squared))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -34,16 +35,16 @@ class Grid:
         """Edge of the whole cube, L, in metres."""
         return self.pitch_m * GRID_SIZE
 
-    @property
+    @cached_property
     def grid_from_camera(self) -> Transform:
+        """The inverse of `camera_from_grid`; not to be written to."""
         return invert_rigid(self.camera_from_grid)
 
 
 def invert_rigid(b_from_a: Transform) -> Transform:
     """Inverse of a rigid transform, by its transpose (exact to rounding, unlike a general inverse)."""
-    a_from_b = np.eye(4)
-    a_from_b[:3, :3] = b_from_a[:3, :3].T
-    a_from_b[:3, 3] = -b_from_a[:3, :3].T @ b_from_a[:3, 3]
+    a_from_b, rotation = np.empty((4, 4)), b_from_a[:3, :3].T
+    a_from_b[:3, :3], a_from_b[:3, 3], a_from_b[3] = rotation, -rotation @ b_from_a[:3, 3], (0.0, 0.0, 0.0, 1.0)
     return a_from_b
 
 
