@@ -80,7 +80,8 @@ class ModulatedPlaneBlock(nn.Module):
         self.activation = nn.LeakyReLU(LEAKY_SLOPE)
 
     def forward(self, x: Float[Tensor, "batch c x y"], condition: Float[Tensor, "batch h"]) -> Tensor:
-        scale, shift = self.modulation(condition)[:, :, None, None].chunk(2, dim=1)
+        channels = self.conv.out_channels
+        scale, shift = self.modulation(condition).reshape(-1, 2 * channels, 1, 1).split(channels, dim=1)
         y: Tensor = x + self.activation(self.norm(self.conv(x)) * (1 + scale) + shift)
         return y
 

@@ -99,8 +99,9 @@ def condition_planes(condition: Float[Tensor, "batch 9"], size: int) -> Float[Te
     Source: regularised Kelvinlet, de Goes and James, ACM TOG 36(4), 2017, eq. 6, at ν = ½ up to a constant.
     """
     centres = cell_centres(size, condition)
-    contact, direction = condition[:, 0:3, None, None, None], condition[:, 3:6, None, None, None]
-    radius = condition[:, 8, None, None, None, None]
+    # not by None: an exported graph would make an operator of each
+    contact, direction = condition[:, 0:3].reshape(-1, 3, 1, 1, 1), condition[:, 3:6].reshape(-1, 3, 1, 1, 1)
+    radius = condition[:, 8].reshape(-1, 1, 1, 1, 1)
     offset = centres[None] - contact
     squared = (offset * offset).sum(dim=1, keepdim=True)
     patch = torch.exp(-squared / (2 * radius * radius))

@@ -39,6 +39,9 @@ STEM = 4
 CLAMP_HEIGHT = 4.0 / 64.0
 """The body is clamped on the floor: the correction is scaled by tanh(z / this), in edges of the grid."""
 
+SHAPE = (LATTICE_SIZE,) * 3
+"""Written out wherever a tensor takes another shape: an exported graph works out at every run what is not said."""
+
 CONDITION_SIZE = 9
 ANY_LOAD = (0.5, 0.5, 0.5, 0.0, 0.0, -1.0, -3.0, 0.25, 0.1)
 """What a network that is not to know of the load is told instead."""
@@ -150,8 +153,9 @@ class LoadGenerator(nn.Module):
             scale = 10.0 ** torch.clamp(condition[:, 6] + config.log_gain, max=0.0)
         told = torch.cat([_normalised(condition), torch.log10(scale)[:, None] + 1.0, z], dim=1)
         h = self.embed(told)
-        shown = _columns(prior / scale[:, None, None, None, None])
-        load = self.load_middle(torch.cat([self.show(shown), _columns(condition_planes(condition, 8))], dim=1))
+        spread = scale.reshape(-1, 1, 1, 1, 1)
+        shown = _columns(prior / spread, 3, LATTICE_SIZE)
+        load = self.load_middle(torch.cat([self.show(shown), _columns(condition_planes(condition, 8), PLANES, 8)], dim=1))
         x = self.enter_coarse(torch.cat([coarse_skip, self.load_coarse(load)], dim=1))
         for block in self.coarse:
             x = block(x, h)
@@ -163,13 +167,14 @@ class LoadGenerator(nn.Module):
         # what is affine in the prior and in the place; then a factor that varies from place to place, and what no
         # multiple of the prior can say.
         local = functional.interpolate(self.local(x), scale_factor=2.0, mode="bilinear", align_corners=False)
-        factor = whole[:, :1, None, None, None] + local[:, None]
-        own = self.own(x).unflatten(1, (3, LATTICE_SIZE))
+        most = whole[:, :1].reshape(-1, 1, 1, 1, 1)
+        factor = most + local[:, None]
+        own = self.own(x).reshape(-1, 3, *SHAPE)
         if not config.prior:
-            own = own * (1.0 + whole[:, :1, None, None, None])
-        own = own + affine_of(shown, whole[:, 1:]) + factor * shown.unflatten(1, (3, LATTICE_SIZE))
+            own = own * (1.0 + most)
+        own = own + affine_of(shown, whole[:, 1:]) + factor * shown.reshape(-1, 3, *SHAPE)
         height = cell_centres(LATTICE_SIZE, own)[2, 0, 0] / CLAMP_HEIGHT
-        held: Tensor = own * (scale[:, None, None, None, None] * torch.tanh(height)[:, None, None])
+        held: Tensor = own * (spread * torch.tanh(height)[:, None, None])
         return held.permute(0, 1, 3, 4, 2)
 
 
@@ -184,16 +189,15 @@ def affine_of(
     """
     centres = cell_centres(LATTICE_SIZE, shown) - 0.5
     place = torch.cat([torch.ones_like(centres[:1]), centres]).permute(0, 3, 1, 2).flatten(1)
-    moved = (place[:, None] * shown.unflatten(1, (1, 3, LATTICE_SIZE)).flatten(3)).flatten(1, 2)
-    share = share.unflatten(1, (3, TERMS))
-    total = torch.matmul(share[:, :, : len(moved[0])], moved) + torch.matmul(share[:, :, len(moved[0]) :], place)
-    fields: Tensor = total.unflatten(2, (LATTICE_SIZE,) * 3)
-    return fields
+    moved = (place[:, None] * shown.reshape(-1, 1, 3, LATTICE_SIZE**3)).reshape(-1, TERMS - 4, LATTICE_SIZE**3)
+    share = share.reshape(-1, 3, TERMS)
+    total = torch.matmul(share[:, :, : TERMS - 4], moved) + torch.matmul(share[:, :, TERMS - 4 :], place)
+    return total.reshape(-1, 3, *SHAPE)
 
 
-def _columns(fields: Float[Tensor, "batch c x y z"]) -> Float[Tensor, "batch cz x y"]:
-    """Columns along z as channels."""
-    return fields.permute(0, 1, 4, 2, 3).flatten(1, 2)
+def _columns(fields: Float[Tensor, "batch c x y z"], count: int, size: int) -> Float[Tensor, "batch cz x y"]:
+    """Columns along z as channels, of `count` fields on lattices of `size`³."""
+    return fields.permute(0, 1, 4, 2, 3).reshape(-1, count * size, size, size)
 
 
 def _residual(channels: int, count: int) -> list[nn.Module]:
@@ -253,9 +257,9 @@ class DeformationNetwork(nn.Module):
         prior: Tensor,
     ) -> Float[Tensor, "loads 3 16 16 16"]:  # fmt: skip
         """The correction, from what the encoder says of one body or of that of each load; σ is the deviation."""
-        if len(middle) == 1:  # as served: the number of loads is free, and nothing is copied
+        if len(middle) == 1:  # as served: the number of loads is free
             loads = condition.shape[0]
-            middle, coarse = (f.expand(loads, -1, -1, -1) for f in (middle, coarse))
+            middle, coarse = middle.repeat(loads, 1, 1, 1), coarse.repeat(loads, 1, 1, 1)
         correction: Tensor = self.generator(middle, coarse, mean + deviation * noise, condition, prior)
         return correction
 
