@@ -155,7 +155,8 @@ class LoadGenerator(nn.Module):
         h = self.embed(told)
         spread = scale.reshape(-1, 1, 1, 1, 1)
         shown = _columns(prior / spread, 3, LATTICE_SIZE)
-        load = self.load_middle(torch.cat([self.show(shown), _columns(condition_planes(condition, 8), PLANES, 8)], dim=1))
+        around = _columns(condition_planes(condition, 8), PLANES, 8)
+        load = self.load_middle(torch.cat([self.show(shown), around], dim=1))
         x = self.enter_coarse(torch.cat([coarse_skip, self.load_coarse(load)], dim=1))
         for block in self.coarse:
             x = block(x, h)
