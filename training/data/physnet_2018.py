@@ -14,9 +14,10 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Bool, Float32, Int, UInt8
 
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.grids import pack_bits
@@ -25,6 +26,10 @@ from training.metrics import iou
 
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
+HELD_OUT = 84
+"""Samples that the splits test on, 30 %."""
+
+Split: TypeAlias = tuple[Int[np.ndarray, " train"], Int[np.ndarray, " test"]]
 Value = list[bytes] | Float32[np.ndarray, " n"] | Int[np.ndarray, " n"]
 
 
@@ -86,6 +91,23 @@ class PhysNet2018:
                 },
             )
         store.write_manifest({"set": "physnet-2018", "groups": len(self)})
+
+
+def random_split(count: int, seed: int) -> Split:
+    """84 held out at random."""
+    order = np.random.default_rng(seed).permutation(count)
+    return np.sort(order[HELD_OUT:]), np.sort(order[:HELD_OUT])
+
+
+def soft_split(stiffness: Float32[np.ndarray, " n"], held_out: int = HELD_OUT) -> Split:
+    """The softest held out: nothing trained on moves as far."""
+    order = np.argsort(stiffness, kind="stable")
+    return np.sort(order[held_out:]), np.sort(order[:held_out])
+
+
+def grids(bits: UInt8[np.ndarray, "n bytes"]) -> Bool[np.ndarray, "n x y z"]:
+    """Packed grids as voxels."""
+    return np.unpackbits(bits, axis=1, bitorder="little").reshape(-1, GRID_SIZE, GRID_SIZE, GRID_SIZE) > 0
 
 
 def records(path: Path) -> Iterator[bytes]:
