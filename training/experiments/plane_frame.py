@@ -115,6 +115,7 @@ class PlaneFrame:
         if step == 0:
             return np.zeros((len(self.nodes), 3))
         if step == 1:
-            return states[0] * (factors[1] / factors[0])
-        share = (factors[step] - factors[step - 1]) / (factors[step - 1] - factors[step - 2])
-        return states[-1] + share * (states[-1] - states[-2])
+            return states[0] * float(factors[1] / factors[0])
+        share = float((factors[step] - factors[step - 1]) / (factors[step - 1] - factors[step - 2]))
+        along: Motion = states[-1] + share * (states[-1] - states[-2])
+        return along

@@ -87,7 +87,8 @@ class BridgeModel:
 
     def load_number(self, label: Labels) -> Float64[np.ndarray, " n"]:
         """Logarithm of the load number of every (Young's modulus, Poisson's ratio) as labelled."""
-        return terms(label) @ self.load
+        number: Float64[np.ndarray, " n"] = terms(label) @ self.load
+        return number
 
     def shapes(self, label: Labels) -> tuple[Section, Float32[np.ndarray, "n x z"]]:
         """Section of the deformed bridge, and the strain along the members at each of its voxels."""
@@ -128,7 +129,8 @@ def frame(geometry: Geometry) -> tuple[PlaneFrame, Float64[np.ndarray, "nodes 3"
     along = [np.linspace(a, b, n + 1)[1:] for a, b, n in zip(ends, ends[1:], DECK, strict=False)]
     deck = np.concatenate([[g.left], *along])
     nodes = [np.stack([deck, np.full(len(deck), middle)], axis=1)]
-    first, last, feet = [np.arange(len(deck) - 1)], [np.arange(1, len(deck))], []
+    first, last = [np.arange(len(deck) - 1)], [np.arange(1, len(deck))]
+    feet: list[int] = []
     up = np.linspace(g.foot, middle, PIER + 1)[:-1]
     for place, joint in zip(piers, np.cumsum(DECK), strict=False):
         foot = len(deck) + PIER * len(feet)

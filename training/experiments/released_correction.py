@@ -42,10 +42,11 @@ class Recipe:
     noise: float
 
 
+_AROUND: tuple[Literal["solve", "mean"], ...] = ("solve", "mean")
 RECIPES = tuple(
     Recipe(around, load, poisson, noise)
     for around, load, poisson, noise in itertools.product(
-        ("solve", "mean"), (0.05, 0.1, 0.2, 0.4), (0.7, 1.5), (0.05, 0.15)
+        _AROUND, (0.05, 0.1, 0.2, 0.4), (0.7, 1.5), (0.05, 0.15)
     )
 )
 
