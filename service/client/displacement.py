@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from service.core.arrays import GRID_SIZE, Occupancy, Points
+from service.core.grids import on_grid
 
 Configuration: TypeAlias = Literal["rest", "deformed"]
 
@@ -51,9 +52,7 @@ class DisplacementField:
         if self._travelled_m.ndim == 4:
             return self._travelled_m
         assert self._deformed is not None
-        grid_m = np.zeros((3, GRID_SIZE**3), self._travelled_m.dtype)
-        grid_m[:, np.flatnonzero(self._deformed)] = self._travelled_m
-        return grid_m.reshape(3, *(GRID_SIZE,) * 3)
+        return on_grid(self._travelled_m, self._deformed)
 
     @cached_property
     def at_voxels_m(self) -> np.ndarray:

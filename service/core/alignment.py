@@ -6,17 +6,15 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, UInt8, UInt64
+from jaxtyping import Float32, Int32, Int64, UInt8
 
-from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Probability, Vector3
+from service.core.arrays import GRID_SIZE, Eights, Matrix3, Occupancy, Probability, Vector3
 from service.core.compiled import compiled
 from service.core.errors import EmptyObject
 from service.core.grids import Grid, cross
 from service.core.lookup import between
 
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
-Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
-"""The same bytes, eight voxels in one number."""
 Columns: TypeAlias = Int32[np.ndarray, "x=64 y=64 sum=6"]
 """Of a body's voxels with one x and one y: how many there are, the sums of z, z² and z³, the lowest and highest z."""
 Padded: TypeAlias = Float32[np.ndarray, " voxels=287496"]

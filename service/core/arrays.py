@@ -5,12 +5,14 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8, UInt64
 
 GRID_SIZE = 64
 """Voxels along each edge of every grid the service takes or returns."""
 
 Occupancy: TypeAlias = Bool[np.ndarray, "x=64 y=64 z=64"]
+Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
+"""Occupancy seen eight voxels at a time: 0 where none of them is filled."""
 Probability: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]
 PackedOccupancy: TypeAlias = UInt8[np.ndarray, "bytes=32768"]
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import UInt64
 
-from service.core.arrays import GRID_SIZE, Occupancy
+from service.core.arrays import GRID_SIZE, Eights, Occupancy
 from service.core.compiled import compiled
 
 Voxel: TypeAlias = tuple[int, int, int]
@@ -20,7 +19,7 @@ def filled_range(occupancy: Occupancy) -> tuple[Voxel, Voxel] | None:
 
 
 @compiled
-def _filled_range(words: UInt64[np.ndarray, "x=64 y=64 words=8"]) -> tuple[Voxel, Voxel]:
+def _filled_range(words: Eights) -> tuple[Voxel, Voxel]:
     """Eight voxels at a time."""
     above = np.zeros(words.shape[2], np.uint64)
     low_x, low_y, low_z, end_x, end_y, end_z = GRID_SIZE, GRID_SIZE, GRID_SIZE, 0, 0, 0

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, Shaped
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, PackedOccupancy, Points, Transform, Vector3
 
@@ -86,6 +86,15 @@ def filled_voxels(occupancy: Occupancy) -> Int32[np.ndarray, "axis=3 n"]:
     column = voxel // GRID_SIZE
     row = column // GRID_SIZE
     return np.stack([row, column - GRID_SIZE * row, voxel - GRID_SIZE * column])
+
+
+def on_grid(
+    vectors: Shaped[np.ndarray, "axis=3 n"], occupancy: Occupancy
+) -> Shaped[np.ndarray, "axis=3 x=64 y=64 z=64"]:
+    """Vectors of the filled voxels, those in C order, on a grid that is zero elsewhere."""
+    grid = np.zeros((3, GRID_SIZE**3), vectors.dtype)
+    grid[:, np.flatnonzero(occupancy)] = vectors
+    return grid.reshape(3, GRID_SIZE, GRID_SIZE, GRID_SIZE)
 
 
 def pack_bits(occupancy: Occupancy) -> PackedOccupancy:

@@ -8,9 +8,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float32, Shaped
 
-from service.core.arrays import GRID_SIZE, Occupancy, Probability, Transform, Vector3
+from service.core.arrays import Occupancy, Probability, Transform, Vector3
 from service.core.camera import Intrinsics
-from service.core.grids import Grid
+from service.core.grids import Grid, on_grid
 from service.core.materials import Material
 
 Displacement: TypeAlias = Float32[np.ndarray, "axis=3 x=64 y=64 z=64"]
@@ -140,9 +140,7 @@ class LoadResult:
 
     def as_grid(self, vectors: Shaped[np.ndarray, "axis=3 n"]) -> Shaped[np.ndarray, "axis=3 x=64 y=64 z=64"]:
         """Vectors of the deformed body's voxels, those in C order, on a grid that is zero outside it."""
-        grid = np.zeros((3, GRID_SIZE**3), vectors.dtype)
-        grid[:, np.flatnonzero(self.deformed)] = vectors
-        return grid.reshape(3, GRID_SIZE, GRID_SIZE, GRID_SIZE)
+        return on_grid(vectors, self.deformed)
 
 
 @dataclass(frozen=True)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt64
+from jaxtyping import Bool, Float32
 
-from service.core.arrays import GRID_SIZE, Occupancy
+from service.core.arrays import GRID_SIZE, Eights, Occupancy
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
 from service.core.displacement import Field
 from service.core.spread import Spread, in_turn
-
-Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eighth=8"]
-"""Eight voxels a number, which is 0 where none of them is filled."""
 
 
 @dataclass(frozen=True, eq=False)

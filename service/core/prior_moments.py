@@ -6,9 +6,9 @@ from functools import lru_cache, partial
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int, UInt8, UInt64
+from jaxtyping import Float32, Float64, Int, UInt8
 
-from service.core.arrays import Occupancy
+from service.core.arrays import Eights, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import Voxel
 
@@ -16,7 +16,6 @@ GAUSS_3: Float64[np.ndarray, "3"] = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1
 """Abscissae in [0, 1] of the Gauss rule of three points."""
 
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
-Words: TypeAlias = UInt64[np.ndarray, "x=64 y=64 words=8"]
 Table = Float32[np.ndarray, "voxels points"]
 Weights = Float32[np.ndarray, "27 x y z"]
 FloorWeights = Float32[np.ndarray, "9 x y"]
@@ -51,7 +50,7 @@ def quadrature_weights(
 
 @compiled
 def _integrate(
-    words: Words, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, weights: Weights, floor: FloorWeights
+    words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, weights: Weights, floor: FloorWeights
 ) -> None:
     """Integrals along columns of voxels, over their rows, and over these: each table is a factor of the polynomials.
 

@@ -4,18 +4,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, UInt64
+from jaxtyping import Float32, Float64
 
-from service.core.arrays import GRID_SIZE, DepthImage, Matrix3, Occupancy, Points, Probability, Transform, Vector3
+from service.core.arrays import (
+    GRID_SIZE,
+    DepthImage,
+    Eights,
+    Matrix3,
+    Occupancy,
+    Points,
+    Probability,
+    Transform,
+    Vector3,
+)
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
 from service.core.grids import Grid, centres_seen_from, cross
-
-Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
-"""The voxels of a grid, eight in one number."""
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
