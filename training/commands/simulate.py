@@ -39,6 +39,7 @@ def add_simulate(commands: argparse._SubParsersAction[argparse.ArgumentParser]) 
     size.add_argument("--fraction", type=float, help="part of the whole set to draw, in (0, 1]")
     parser.add_argument("--out", type=Path, required=True, help="folder of the data set")
     parser.add_argument("--seed", type=int, default=0, help="of random sets; the paper's grids have none")
+    parser.add_argument("--loads", type=int, help="pushes on each body, where they are drawn, instead of the set's own")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes of one thread each")
     parser.add_argument("--engine", choices=ENGINES, default=ENGINES[0], help="processes here, or a Ray cluster")
     parser.add_argument("--resume", action="store_true", help="go on with what is there, which is done anyway")
@@ -84,14 +85,20 @@ def _simulate(options: argparse.Namespace) -> int:
     except MeshError as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 2
+    if options.loads is not None:
+        try:
+            data_set = data_set.with_loads(options.loads)
+        except ValueError as error:
+            print(f"physnet-train: {error}", file=sys.stderr)
+            return 2
     groups = data_set.groups if options.groups is None else options.groups
     if options.fraction is not None:
         if not 0.0 < options.fraction <= 1.0:
             print("physnet-train: --fraction is a part of the set, in (0, 1]", file=sys.stderr)
             return 2
         groups = math.ceil(options.fraction * data_set.groups - 1e-9)
-    if groups < 1 or options.workers < 1:
-        print("physnet-train: --groups and --workers are at least 1", file=sys.stderr)
+    if groups < 1 or options.workers < 1 or (options.loads is not None and options.loads < 1):
+        print("physnet-train: --groups, --workers and --loads are at least 1", file=sys.stderr)
         return 2
     if data_set.is_grid and groups > data_set.groups:
         print(f"physnet-train: {options.set} has {data_set.groups} groups in all", file=sys.stderr)

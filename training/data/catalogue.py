@@ -32,6 +32,7 @@ _PAPER_LOADS = EverydayConfig(
     loads=10, along_top=True, fractions=None, identity_iou=(0.5, 0.95), patch_radius=(0.1, 0.1),
     young_modulus_pa=_MATERIALS,
 )  # fmt: skip
+_GENTLE = EverydayConfig(loads=2, fractions=None, identity_iou=(0.85, 0.97))
 _STRETCH = PaperConfig(young_modulus_pa=(1e9, 1e9, 1), force_n=(2e6, 1), scales=(0.85, 1.2, 8), cells=40)
 
 Draw = Callable[[int], dict[str, np.ndarray]]
@@ -57,6 +58,16 @@ class DataSet:
         if isinstance(self.config, (EverydayConfig, ViewsConfig)):
             return dataclasses.replace(self, config=dataclasses.replace(self.config, seed=seed))
         return self
+
+    def with_loads(self, loads: int) -> DataSet:
+        """The same with another number of pushes on each body.
+
+        Raises:
+            ValueError: Its bodies are not pushed at places that are drawn.
+        """
+        if not isinstance(self.config, EverydayConfig):
+            raise ValueError("only sets of bodies under drawn pushes have a number of loads")
+        return dataclasses.replace(self, config=dataclasses.replace(self.config, loads=loads))
 
     @property
     def is_grid(self) -> bool:
@@ -91,6 +102,7 @@ GROUPS_OF_MESHES = 400
 
 SETS: dict[str, DataSet] = {
     "everyday": DataSet(EverydayConfig(), 2000, "bodies of all families under random pushes, neo-Hookean; the default"),
+    "gentle": DataSet(_GENTLE, 4000, "bodies of `everyday`, two gentle pushes each, linear: many bodies in little time"),
     "views": DataSet(ViewsConfig(), 4000, "bodies of all families seen by a noisy depth camera"),
     "bridge-1x400": DataSet(
         PaperConfig(young_modulus_pa=(*_MATERIALS, 400), force_n=(PUSH_N, 1)), 400, "the paper's: 400 E, one ν"

@@ -49,6 +49,8 @@ def test_a_fraction_of_a_set_is_drawn_and_more_of_it_added(
         (["stretch", "--groups", "513"], "stretch has 512 groups in all"),
         (["everyday", "--groups", "0"], "at least 1"),
         (["everyday", "--workers", "0"], "at least 1"),
+        (["everyday", "--loads", "0"], "at least 1"),
+        (["views", "--loads", "2"], "drawn pushes"),
     ],
 )
 def test_sizes_that_make_no_sense_are_refused(

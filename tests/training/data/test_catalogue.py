@@ -25,6 +25,21 @@ def test_seeds_change_random_sets_only() -> None:
     assert SETS["stretch"].with_seed(3) == SETS["stretch"]
 
 
+def test_the_number_of_pushes_can_be_chosen_where_they_are_drawn() -> None:
+    assert SETS["everyday"].with_loads(1).config == dataclasses.replace(SETS["everyday"].config, loads=1)
+    for name in ("views", "stretch"):
+        with pytest.raises(ValueError, match="drawn pushes"):
+            SETS[name].with_loads(1)
+
+
+def test_gentle_pushes_move_a_body_a_little_by_the_linear_law() -> None:
+    config = SETS["gentle"].config
+    assert isinstance(config, EverydayConfig)
+    group = draw_group(dataclasses.replace(config, families=("cylinder",), cells=16, thickness=1.8), 0)
+    assert list(group["law"]) == ["linear"] * 2
+    assert ((group["identity_iou"] > 0.8) & (group["identity_iou"] < 0.99)).all()
+
+
 def test_a_network_trained_on_cylinders_has_seen_nothing_of_the_other_categories() -> None:
     cylinders, others = (set(SETS[name].config.families) for name in ("cylinders", "cross-category"))
     assert cylinders == set(CYLINDER_LIKE) <= set(FAMILIES)
