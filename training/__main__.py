@@ -31,6 +31,10 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)
     fit.add_argument("--init-from", type=Path, metavar="RUN", help="begin with the weights of another run that fit")
+    fit.add_argument(
+        "--more", type=Path, action="append", default=[], metavar="DIR",
+        help="train on the bodies of this data set too; may be given again (deformation)",
+    )
     fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     fit.set_defaults(run=_fit)
 
@@ -69,13 +73,17 @@ def _fit(options: argparse.Namespace) -> int:
     from training.fit_reconstruction import fit_reconstruction
     from training.runs import Run, RunError
 
+    if options.more and options.network != "deformation":
+        print("physnet-train: --more belongs to fit deformation", file=sys.stderr)
+        return 2
     torch.set_num_threads(options.threads)
     changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
     begin_from = options.init_from / "checkpoint.pt" if options.init_from else None
     try:
         if options.network == "deformation":
-            fit_deformation(options.data, run, chosen(DEFORMATION_PRESETS, options.preset, **changes), begin_from)
+            config = chosen(DEFORMATION_PRESETS, options.preset, **changes)
+            fit_deformation(options.data, run, config, begin_from, options.more)
         else:
             fit_reconstruction(options.data, run, chosen(RECONSTRUCTION_PRESETS, options.preset, **changes), begin_from)
     except (ConfigError, RunError, StoreError, FileNotFoundError, ValueError) as error:

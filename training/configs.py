@@ -138,6 +138,7 @@ class FitDeformationConfig(FitConfig):
         occupancy_weight: Weight of that cross-entropy beside the relative displacement error, of order one each.
         kl_weight: Weight of the latent's divergence from its prior, per nat.
         held_out: What is not trained on, to see what that does there.
+        more: Sets besides the first whose bodies are trained on too, in words; None where there are none.
     """
 
     network: DeformationKind = field(default_factory=DeformationConfig)
@@ -147,6 +148,7 @@ class FitDeformationConfig(FitConfig):
     kl_weight: float = 1e-4
     points: int = 1536
     held_out: HeldOut | None = None
+    more: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

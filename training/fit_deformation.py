@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,10 +34,27 @@ from training.predict import HALF_VOXEL, peak_ratios, predict, relative_displace
 from training.runs import Run
 
 
-def fit_deformation(data: Path, run: Run, config: FitDeformationConfig, begin_from: Path | None = None) -> None:
-    """Train from the start, or from the run's last checkpoint; `begin_from` as in `fit_reconstruction`."""
+def fit_deformation(
+    data: Path, run: Run, config: FitDeformationConfig, begin_from: Path | None = None, more: Sequence[Path] = ()
+) -> None:
+    """Train from the start, or from the run's last checkpoint.
+
+    Args:
+        data: Finished data set; it alone validates.
+        run: Where checkpoints, log and curves go.
+        config: All that the run is made of.
+        begin_from: As in `fit_reconstruction`.
+        more: Finished sets whose training splits are trained on too, all bodies alike; the configuration says so then.
+
+    Raises:
+        RunError: The run was begun otherwise, or its loss is no longer finite.
+        StoreError: A data set cannot be read.
+    """
     prior = isinstance(config.network, DeformationConfig) and config.network.prior
     training, validation = (DeformationSet.load(data, split, prior) for split in ("train", "validation"))
+    if more:
+        training = training.joined([DeformationSet.load(folder, "train", prior) for folder in more])
+        config = replace(config, more=tuple(Store(folder).about() for folder in more))
     if config.held_out:
         training = training.only(~config.held_out.holds(training))
     if isinstance(config.network, DeformationConfig):

@@ -126,6 +126,23 @@ def test_a_killed_run_goes_on_to_the_very_same_state(any_program: Program, tmp_p
     assert log(tmp_path / "whole") == log(tmp_path / "killed")
 
 
+def test_a_run_may_train_on_the_bodies_of_more_sets_and_says_so(
+    deformations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It goes on only with the same sets."""
+    begun = replace(tiny.FIT_DEFORMATION, steps=3)
+    fit_deformation(deformations, Run(tmp_path), begun, more=[deformations, deformations])
+    assert "18 training and 2 validation samples" in capsys.readouterr().err
+    saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
+    digest = Store(deformations).manifest()["digest"]
+    assert [digest in said for said in saved["config"]["more"]] == [True, True]
+    assert saved["dataset"]["digest"] == digest
+    fit_deformation(deformations, Run(tmp_path), begun, more=[deformations, deformations])
+    for more in ([], [deformations]):
+        with pytest.raises(RunError, match="more"):
+            fit_deformation(deformations, Run(tmp_path), begun, more=more)
+
+
 def test_a_run_may_begin_with_the_weights_of_another_and_says_so(program: Program, tmp_path: Path) -> None:
     """One that was killed goes on only with the same beginning, to the very same state."""
     program.fit(program.data, Run(tmp_path / "first"), program.config)

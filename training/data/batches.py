@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -127,6 +128,19 @@ class DeformationSet:
         columns = {key: getattr(self, key)[rows] for key in ("body", "step", *COLUMNS)}
         law = tuple(self.law[row] for row in rows)
         return replace(self, law=law, prior=self.prior.only(rows) if self.prior else None, **columns)
+
+    def joined(self, others: Sequence[DeformationSet]) -> DeformationSet:
+        """These samples and then those of other sets; coarse solves are made anew."""
+        sets = (self, *others)
+        rest, columns = np.concatenate([s.rest for s in sets]), ("step", *COLUMNS)
+        starts = np.cumsum([0, *(len(s.rest) for s in sets[:-1])])
+        body = np.concatenate([start + s.body for start, s in zip(starts, sets, strict=True)])
+        values = {key: np.concatenate([getattr(s, key) for s in sets]) for key in columns}
+        return DeformationSet(
+            rest=rest, body=body, family=tuple(name for s in sets for name in s.family),
+            fields=tuple(field for s in sets for field in s.fields), law=tuple(name for s in sets for name in s.law),
+            prior=Priors(rest, body, values["condition"]) if self.prior else None, **values,
+        )  # fmt: skip
 
     def batch(self, rows: Int[np.ndarray, " b"]) -> DeformationBatch:
         """The samples of these rows, each with its own body."""

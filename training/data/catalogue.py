@@ -102,7 +102,7 @@ GROUPS_OF_MESHES = 400
 
 SETS: dict[str, DataSet] = {
     "everyday": DataSet(EverydayConfig(), 2000, "bodies of all families under random pushes, neo-Hookean; the default"),
-    "gentle": DataSet(_GENTLE, 4000, "bodies of `everyday`, two gentle pushes each, linear: many bodies in little time"),
+    "gentle": DataSet(_GENTLE, 4000, "bodies of `everyday`, two gentle linear pushes each: many bodies in little time"),
     "views": DataSet(ViewsConfig(), 4000, "bodies of all families seen by a noisy depth camera"),
     "bridge-1x400": DataSet(
         PaperConfig(young_modulus_pa=(*_MATERIALS, 400), force_n=(PUSH_N, 1)), 400, "the paper's: 400 E, one ν"

@@ -176,6 +176,19 @@ class Store:
         manifest: dict[str, Any] = json.loads(self.manifest_path.read_text())
         return manifest
 
+    def about(self) -> str:
+        """The finished set in a line: its name and seed, how much there is, digest and code.
+
+        Raises:
+            StoreError: It has no manifest, or is of another store version.
+        """
+        manifest = self.manifest()
+        drawn = manifest["configuration"]
+        return (
+            f"{drawn.get('set')}, seed {drawn.get('seed')}: {manifest['samples']} samples in {manifest['groups']} "
+            f"groups, {manifest['digest']}, made at {manifest['code']}"
+        )
+
     def _header(self) -> dict[str, Any]:
         try:
             header: dict[str, Any] = json.loads(self.header_path.read_text())

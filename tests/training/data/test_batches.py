@@ -87,6 +87,18 @@ def test_some_of_the_samples_keep_their_bodies_and_what_is_known_of_them(deforma
     assert {float(peak) for peak in drawn.peak} == {float(peak) for peak in whole.peak}
 
 
+def test_sets_are_joined_with_every_sample_on_its_own_body(deformations: Path) -> None:
+    one, other = (DeformationSet.load(deformations, name) for name in ("train", "test"))
+    both = one.joined([other])
+    assert (len(both), len(both.rest), len(both.family), len(both.law)) == (10, 5, 5, 10)
+    batch, expected = both.batch(np.array([4, 9])), (one.batch(np.array([4])), other.batch(np.array([3])))
+    for name in ("rest", "condition", "deformed", "displacement", "forward", "peak", "prior_forward", "prior_backward"):
+        assert torch.equal(getattr(batch, name), torch.cat([getattr(part, name) for part in expected])), name
+    assert one.joined([]).batch(np.array([4])).prior_forward.equal(one.batch(np.array([4])).prior_forward)
+    blind = DeformationSet.load(deformations, "train", prior=False)
+    assert blind.joined([blind]).prior is None
+
+
 def test_all_is_every_body(deformations: Path) -> None:
     assert len(DeformationSet.load(deformations, "all").rest) == len(tiny.GROUPS)
 
