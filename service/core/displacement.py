@@ -8,9 +8,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float32
 
-from service.core.arrays import GRID_SIZE, Occupancy
+from service.core.arrays import GRID_SIZE
 from service.core.compiled import compiled
-from service.core.extent import Voxel, filled_range
+from service.core.extent import Voxel
 from service.core.prior_field import FIELD_SIZE
 from service.core.spread import Spread, in_turn
 
@@ -49,18 +49,6 @@ def corrected(
     field = np.empty_like(backward) if result is None else result
     spread(lambda first, end: _correct(backward, correction, low, high, first, end, field), FIELD_SIZE)
     return field
-
-
-def body_box(rest: Occupancy) -> Box:
-    """Lowest and highest corner of a body, in edges of the grid.
-
-    Raises:
-        ValueError: It is empty.
-    """
-    found = filled_range(rest)
-    if found is None:
-        raise ValueError("an empty body has no box: the occupancy holds no voxel")
-    return box_between(*found)
 
 
 def box_between(first: Voxel, end: Voxel) -> Box:

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
 
-from service.core.displacement import body_box, corrected
+from service.core.displacement import corrected
 from service.core.extent import filled_range
+from service.core.lookup import Warp
 
 STEPS = (np.arange(32) + 0.5) / 32
 CENTRES = np.stack(np.meshgrid(STEPS, STEPS, STEPS, indexing="ij")).astype(np.float32)
@@ -77,12 +78,13 @@ def test_material_that_was_turned_and_is_then_pushed_comes_from_where_it_was() -
 def test_only_where_the_body_can_get_to_is_corrected() -> None:
     rest = np.zeros((64, 64, 64), bool)
     rest[20:36, 30:40, :24] = True
-    assert body_box(rest) == ((20 / 64, 30 / 64, 0.0), (36 / 64, 40 / 64, 24 / 64))
+    body = Warp(rest).body
+    assert body == ((20 / 64, 30 / 64, 0.0), (36 / 64, 40 / 64, 24 / 64))
     field = np.zeros((3, 32, 32, 32), np.float32)
     field[0] = 0.1 * CENTRES[2]
     correction = np.full((3, 16, 16, 16), 0.02, np.float32)
     assert filled_range(rest) == ((20, 30, 0), (36, 40, 24))
-    part, whole = corrected(field, correction, body_box(rest)), corrected(field, correction)
+    part, whole = corrected(field, correction, body), corrected(field, correction)
     # Within reach: x from 20/64 to 36/64 + 0.12, and no farther than three nodes beyond.
     np.testing.assert_array_equal(part[:, 10:22, 15:21, :13], whole[:, 10:22, 15:21, :13])
     np.testing.assert_array_equal(part[:, :6], field[:, :6])
@@ -107,8 +109,6 @@ def test_nothing_moves_farther_than_it_is_high() -> None:
 
 def test_the_box_is_that_of_every_voxel() -> None:
     rest = np.zeros((64, 64, 64), bool)
-    assert filled_range(rest) is None
-    with pytest.raises(ValueError, match="empty"):
-        body_box(rest)
+    assert filled_range(rest) is None and Warp(rest).body is None
     rest[63, 5, 0] = rest[7, 60, 9] = rest[20, 3, 62] = True
     assert filled_range(rest) == ((7, 3, 0), (64, 61, 63))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from service.core.condition import CONDITION_FIELDS
-from service.core.displacement import body_box, corrected
+from service.core.displacement import corrected
 from service.core.lookup import Warp, warp
 from service.core.motion import motion
 from service.core.prior import ElasticPrior
@@ -180,7 +180,7 @@ def test_samples_are_averaged(models: Models) -> None:
     prior = models.deformation.prior(BODY, [push()])
     inputs = {"rest": BODY.astype(np.float32)[None, None], "condition": push()[None], "prior": prior.forward}
     corrections = [network.run({**inputs, "noise": draw[None]})["correction"][0] for draw in draws]
-    fields = [corrected(prior.backward()[0], correction, body_box(BODY)) for correction in corrections]
+    fields = [corrected(prior.backward()[0], correction, Warp(BODY).body) for correction in corrections]
     answer = models.deformation(BODY, [push()], samples=2)
     np.testing.assert_allclose(answer.field[0], np.mean(fields, axis=0), atol=1e-6)
     np.testing.assert_allclose(answer.probability[0], np.mean([warp(BODY, f) for f in fields], axis=0), atol=1e-6)
