@@ -17,6 +17,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from benchmarks.real_frames import FRAMES, read_frame
 from service.core.arrays import Occupancy
 from service.core.grids import Grid, invert_rigid
 from service.core.materials import Material
@@ -26,7 +27,6 @@ from service.picture.raycast import Rgb, view_from_camera
 from service.picture.shading import solid
 from service.pipeline import Pipeline
 from service.settings import Settings
-from tests.real_frames import FRAMES, load_frame
 from training.metrics import iou
 from training.simulation.distance_grid import RESOLUTION, distance_grid
 from training.simulation.grid_body import filled
@@ -73,7 +73,7 @@ class RealObject:
 def real_objects(pipeline: Pipeline) -> Iterator[RealObject]:
     """Every object with a fitted pose, asked with its mask; none where the frames are absent."""
     for path in sorted(FRAMES.glob("*/reference_pose.json")):
-        frame = load_frame(path.parent.name)
+        frame = read_frame(path.parent.name)
         depth = EncodedImage("32FC1", np.nan_to_num(frame.depth_m).tobytes())
         for item in json.loads(path.read_text("utf-8"))["objects"]:
             mask = frame.masks[str(item.get("instance_label", "object"))]
