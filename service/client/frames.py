@@ -26,11 +26,15 @@ BACKLOG = 64
 class Answer:
     """What became of one frame: exactly one of `result`, `error` and `overtaken_by`.
 
+    Results come in the order of their frames; that a frame was overtaken is told as soon as it is known, of one on this
+    side at once and of one in the service a way back later, so that a later frame's notice may come first.
+
     Attributes:
         frame_id: The frame's.
         result: The answer.
         error: What was wrong with it, or that the connection broke.
-        overtaken_by: The frame that took its place before inference, on this side of the wire or in the service.
+        overtaken_by: The frame that took its place before inference, on this side of the wire or in the service: a
+            later one, and not always the next, which may itself have been overtaken on the way to where this one was.
         round_trip_ms: Since the frame was handed to the stream.
         age_ms: In the service: the frame's age at the end of each stage, where the wire tells.
     """
