@@ -233,14 +233,10 @@ class Pipeline:
     ) -> tuple[LoadResult, ...]:
         """Every load on its own, all in one batch of the network."""
         with watch.stage("deform"):
-            surface = self._deformation.spare.offer(Once(lambda: body.surface_m))
+            asked = self._deformation.spare.offer(Once(lambda: self._questions(body, contacts, request)))
             if any(load.force_n.any() for load in request.loads):
                 self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.smooth)
-            surface()
-            questions = [
-                self._question(body, load, contact, request.material, f"loads[{i}]")
-                for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))
-            ]
+            questions = asked()
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[LoadResult] = iter(())
             if conditions:
@@ -257,6 +253,12 @@ class Pipeline:
             return tuple(
                 _unmoved(body, question) if question.condition is None else next(answers) for question in questions
             )
+
+    def _questions(self, body: Body, contacts: list[Vector3], request: DeformRequest) -> list[Question]:
+        return [
+            self._question(body, load, contact, request.material, f"loads[{i}]")
+            for i, (load, contact) in enumerate(zip(request.loads, contacts, strict=True))
+        ]
 
     def _question(self, body: Body, load: Load, contact_m: Vector3, material: Material, field: str) -> Question:
         """Where the load meets the body, and the condition in its grid."""

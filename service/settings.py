@@ -85,8 +85,9 @@ class Settings(BaseSettings):
     """Requests that are answered at once; by default one for each core this process may use, up to four: beyond that
     they wait for Python's lock more than for cores."""
 
-    threads: int = Field(1, ge=1)
-    """Threads of each network's session. Networks this small gain nothing from more."""
+    threads: int = Field(default_factory=lambda: min(2, available_cores()), ge=1)
+    """Threads of each network's session; by default two where there are as many cores, as networks this small gain
+    little from more."""
 
     request_deadline_s: float = Field(10.0, gt=0.0)
     """Longest a request may take from its first byte to inference. Clients may ask for less, never for more."""

@@ -2,9 +2,10 @@
 
     python -m benchmarks.service.threads [--repeats 30]
 
-Every configuration runs both networks with the inputs of the bundled question, one run of each in every turn, so that
-what else the machine does meets all alike. Written: the median and least wall time of both together, and the processor
-time they take, which is what another program on the robot's computer loses. Only a quiet machine tells.
+Every configuration runs both networks with the inputs of the bundled question in every turn, so that what else the
+machine does meets all alike: one run right after another, and one after a pause of 20 ms, as between the frames of a
+camera, in which the cores fall asleep. Written: the median wall time of both together with and without the pause, and
+the processor time, which is what another program on the robot's computer loses. Only a quiet machine tells.
 """
 
 from __future__ import annotations
@@ -20,22 +21,25 @@ import numpy as np
 import onnxruntime
 
 from service.inference.graph import Graph
+from service.inference.helpers import Helpers
 from service.inference.registry import load_models
 from service.settings import Settings, available_cores
+
+PAUSE_S = 0.02
 
 RESULTS = Path(__file__).resolve().parent / "results"
 
 
 def configurations(cores: int) -> dict[str, dict[str, Any]]:
-    """What is compared, by name; the served one first."""
-    served = {"threads": 1, "spin": "0", "stop": "0", "arena": True, "pattern": True}
+    """What is compared with what is served, by name."""
+    plain = {"threads": 1, "spin": "0", "stop": "0", "arena": True, "pattern": True}
     return {
-        "served": served,
-        "as many threads as cores": {**served, "threads": cores},
-        "these spinning": {**served, "threads": cores, "spin": "1"},
-        "these spinning, stopped after each run": {**served, "threads": cores, "spin": "1", "stop": "1"},
-        "no arena": {**served, "arena": False},
-        "no memory pattern": {**served, "pattern": False},
+        "one thread": plain,
+        "as many as cores, wherever they wake": {**plain, "threads": cores},
+        "these spinning": {**plain, "threads": cores, "spin": "1"},
+        "these spinning, stopped after each run": {**plain, "threads": cores, "spin": "1", "stop": "1"},
+        "one thread, no arena": {**plain, "arena": False},
+        "one thread, no memory pattern": {**plain, "pattern": False},
     }
 
 
@@ -57,35 +61,36 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=30)
     given = parser.parse_args()
     settings = Settings()
-    graphs = load_models(settings.models, 1).graphs
-    feeds = [_inputs(graph.manifest.inputs) for graph in graphs]
-    chosen = configurations(available_cores())
-    networks = {name: [_reopened(graph, settings.models, how) for graph in graphs] for name, how in chosen.items()}
-    wall: dict[str, list[float]] = {name: [] for name in networks}
-    processor: dict[str, list[float]] = {name: [] for name in networks}
-    for turn in range(given.repeats + 2):
-        for name, pair in networks.items():
-            began, used = time.perf_counter(), time.process_time()
-            for network, feed in zip(pair, feeds, strict=True):
-                network.run(feed)
-            if turn >= 2:
-                wall[name].append(1e3 * (time.perf_counter() - began))
-                processor[name].append(1e3 * (time.process_time() - used))
-    rows = {
-        name: {
-            **chosen[name],
-            "median_ms": float(np.median(wall[name])),
-            "least_ms": min(wall[name]),
-            "processor_ms": float(np.median(processor[name])),
-        }
-        for name in networks
+    served = load_models(settings.models, settings.threads, available_cores()).graphs
+    helpers = Helpers()
+    feeds = [_inputs(graph.manifest.inputs) for graph in served]
+    networks = {"served": served}
+    for name, chosen in configurations(available_cores()).items():
+        networks[name] = tuple(_reopened(graph, settings.models, chosen) for graph in served)
+    times: dict[str, dict[str, list[float]]] = {
+        name: {"median_ms": [], "after_pause_ms": [], "processor_ms": []} for name in networks
     }
+    for _ in range(given.repeats):
+        for name, pair in networks.items():
+            time.sleep(PAUSE_S)  # whoever still spins has stopped
+            for column in ("warm-up", "median_ms", "after_pause_ms"):
+                if column == "after_pause_ms":
+                    time.sleep(PAUSE_S)
+                began, used = time.perf_counter(), time.process_time()
+                if name == "served":
+                    helpers.keep_off()
+                for network, feed in zip(pair, feeds, strict=True):
+                    network.run(feed)
+                if column in times[name]:
+                    times[name][column].append(1e3 * (time.perf_counter() - began))
+                if column == "median_ms":
+                    times[name]["processor_ms"].append(1e3 * (time.process_time() - used))
+    rows = {name: {key: float(np.median(found)) for key, found in each.items()} for name, each in times.items()}
     RESULTS.mkdir(exist_ok=True)
     document = {"configurations": rows, "load_average": os.getloadavg(), "repeats": given.repeats}
     (RESULTS / "threads.json").write_text(json.dumps(document, indent=1) + "\n", "utf-8")
     for name, row in rows.items():
-        figures = (f"{key.removesuffix('_ms')} {row[key]:.1f}" for key in ("median_ms", "least_ms", "processor_ms"))
-        print(f"{name:34s}", "  ".join(figures), "ms")
+        print(f"{name:38s}", "  ".join(f"{key.removesuffix('_ms')} {ms:.1f}" for key, ms in row.items()), "ms")
 
 
 def _reopened(graph: Graph, models: Path, chosen: dict[str, Any]) -> Graph:

@@ -10,8 +10,9 @@ from service.inference.artefacts import read_manifest
 from service.inference.graph import Graph
 from service.inference.session import open_sessions
 
-KINDS = {"reconstruction": 1, "deformation": 2}
-"""And in how many graphs this service runs them."""
+KINDS = {"reconstruction": (True,), "deformation": (False, True)}
+"""And the graphs in which this service runs them: whether it waits for one, or runs it beside other work, where a
+second thread would only be in the way."""
 
 
 def open_graphs(directory: Path, threads: int) -> tuple[Graph, ...]:
@@ -35,16 +36,19 @@ def open_graphs(directory: Path, threads: int) -> tuple[Graph, ...]:
             )  # fmt: skip
         if manifest.kind in by_kind:
             raise ModelMismatch(f"{directory} holds two {manifest.kind} models; leave one or name another folder.")
-        if len(manifest.graphs) != KINDS[manifest.kind]:
+        if len(manifest.graphs) != (count := len(KINDS[manifest.kind])):
             raise ModelMismatch(
-                f"{folder} is not in {KINDS[manifest.kind]} graphs, as this service runs it; export it again.",
-                expected=KINDS[manifest.kind], actual=len(manifest.graphs),
+                f"{folder} is not in {count} graphs, as this service runs it; export it again.",
+                expected=count, actual=len(manifest.graphs),
             )  # fmt: skip
         by_kind[manifest.kind] = (folder, manifest)
     for kind in KINDS:
         if kind not in by_kind:
             raise ModelMismatch(f"{directory} holds no {kind} model; export one with `physnet-train export`.")
-    return tuple(Graph(open_sessions(*by_kind[kind], threads), by_kind[kind][1]) for kind in KINDS)
+    return tuple(
+        Graph(open_sessions(*by_kind[kind], [threads if waits else 1 for waits in graphs]), by_kind[kind][1])
+        for kind, graphs in KINDS.items()
+    )
 
 
 def _version_key(folder: Path) -> tuple[int, ...]:

@@ -11,6 +11,7 @@ from functools import partial
 from typing import Any, Generic, TypeVar, cast
 
 from service.core.spread import Spread, Work, in_turn
+from service.inference.helpers import Helpers
 
 Result = TypeVar("Result")
 
@@ -61,6 +62,7 @@ class SpareCores:
         ]
         for thread in threads:
             thread.start()
+        self._helpers = Helpers(thread.native_id for thread in threads if thread.native_id is not None)
         weakref.finalize(self, _end, self._offered, threads)
 
     @contextlib.contextmanager
@@ -68,6 +70,8 @@ class SpareCores:
         """While it lasts, a request has a core of its own."""
         with self._lock:
             self._requests += 1
+        if self._idle:
+            self._helpers.keep_off()
         try:
             yield
         finally:

@@ -79,6 +79,6 @@ def test_threads_follow_affinity_and_quota(monkeypatch):
     # Half a core more is worth a second thread.
     assert available_cores() == 2
     monkeypatch.setattr(module, "_cgroup_cores", lambda _: 0.25)
-    assert available_cores() == 1
+    assert (available_cores(), Settings().threads) == (1, 1)
     monkeypatch.setattr(module, "_cgroup_cores", lambda _: 1e9)
-    assert available_cores() == 8
+    assert (available_cores(), Settings().threads) == (8, 2)

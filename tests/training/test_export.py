@@ -56,7 +56,7 @@ def test_the_service_reads_what_was_exported(kind: str, folders: dict[str, tuple
     assert manifest.configuration["network"][field] == value
     graphs = {"encoder.onnx", "generator.onnx"} if kind == "deformation" else {"model.onnx"}
     assert {path.name for path in folder.iterdir()} == {*graphs, "manifest.json", "CARD.md"}
-    open_sessions(folder, manifest, threads=1)  # tensors are those of the manifest, or this raises
+    open_sessions(folder, manifest, [1] * len(manifest.graphs))  # tensors are those of the manifest, or this raises
 
 
 def test_a_graph_is_one_file_of_standard_operators(folders: dict[str, tuple[Path, Manifest]]) -> None:
@@ -70,7 +70,7 @@ def test_a_graph_is_one_file_of_standard_operators(folders: dict[str, tuple[Path
 
 def test_the_graphs_answer_for_any_number_of_loads_as_torch_does(folders: dict[str, tuple[Path, Manifest]]) -> None:
     folder, manifest = folders["deformation"]
-    graph = Graph(open_sessions(folder, manifest, threads=1), manifest)
+    graph = Graph(open_sessions(folder, manifest, [1] * len(manifest.graphs)), manifest)
     network = tiny.deformation_network()
     rest = torch.from_numpy(tiny.box(2)).float()[None, None]
     for loads in (1, 2, 5):

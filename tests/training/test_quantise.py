@@ -73,7 +73,7 @@ def test_the_manifest_says_so_and_the_service_opens_it(integers: Path, floats: P
     assert "8-bit integers" in (integers / "CARD.md").read_text()
     assert (manifest.parity, manifest.threshold, manifest.dataset) == (before.parity, 0.45, before.dataset)
     assert {path.name for path in integers.iterdir()} == {"model.onnx", "manifest.json", "CARD.md"}
-    open_sessions(integers, manifest, threads=1)
+    open_sessions(integers, manifest, threads=[1])
 
 
 def test_a_graph_that_loses_too_much_is_refused(

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from service.core.errors import ModelMismatch
+from service.inference.graph import Graph
 from service.inference.graphs import open_graphs
 
 
@@ -77,3 +78,12 @@ def test_a_model_in_a_folder_of_another_name_or_version_is_refused(directory: Pa
     (directory / "deformation" / "0.9.0").rename(directory / "deformation" / "0.9.1")
     with pytest.raises(ModelMismatch, match=r"0\.9\.1 holds deformation 0\.9\.0"):
         open_graphs(directory, threads=1)
+
+
+def test_what_runs_beside_other_work_has_one_thread(directory: Path) -> None:
+    reconstruction, deformation = open_graphs(directory, threads=2)
+    assert [_threads(graph) for graph in (reconstruction, deformation)] == [[2], [1, 2]]
+
+
+def _threads(graph: Graph) -> list[int]:
+    return [session.get_session_options().intra_op_num_threads for session in graph.sessions]
