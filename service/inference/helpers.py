@@ -1,8 +1,8 @@
 """Threads that help the one that answers a request, and the cores they run on.
 
-Linux may wake a helper on the core of who wakes it, though another is idle: a network on two threads then takes as long as
-on one (measured: docs/performance.md). So helpers are kept off the core of the request they help. Elsewhere than on Linux
-nothing is done.
+Linux may wake a helper on the core of who wakes it, though another is idle: a network on two threads then takes as
+long as on one (measured: docs/performance.md). So helpers are kept off the core of the request they help. Elsewhere
+than on Linux nothing is done.
 """
 
 from __future__ import annotations
