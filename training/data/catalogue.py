@@ -32,7 +32,7 @@ _PAPER_LOADS = EverydayConfig(
     loads=10, along_top=True, fractions=None, identity_iou=(0.5, 0.95), patch_radius=(0.1, 0.1),
     young_modulus_pa=_MATERIALS,
 )  # fmt: skip
-_GENTLE = EverydayConfig(loads=2, fractions=None, identity_iou=(0.85, 0.97))
+_GENTLE = EverydayConfig(loads=2, fractions=None, peak=(0.008, 0.03))
 _STRETCH = PaperConfig(young_modulus_pa=(1e9, 1e9, 1), force_n=(2e6, 1), scales=(0.85, 1.2, 8), cells=40)
 
 Draw = Callable[[int], dict[str, np.ndarray]]

@@ -83,8 +83,9 @@ class Store:
         self.check_version()
         wanted = json.loads(json.dumps({key: value for key, value in configuration.items() if key != "groups"}))
         found = self._header().get("configuration")
-        if found is not None and found != wanted:
-            changed = sorted(key for key in {*found, *wanted} if found.get(key) != wanted.get(key))
+        # what sets of older code do not have yet is None in those of newer code
+        changed = sorted(key for key in {*(found or {}), *wanted} if found and found.get(key) != wanted.get(key))
+        if changed:
             raise StoreError(
                 f"{self.root} holds a data set drawn otherwise ({', '.join(changed)} differ); take another folder"
             )

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float64
 
+from training.simulation.body import Body
 from training.simulation.loads import Load
 from training.simulation.overlap import RestOverlap
 
@@ -38,8 +39,7 @@ def force_for_identity_iou(
     Returns:
         The same load with another load number; None where no displacement within the cube overlaps that little.
     """
-    solid = displacement[overlap.body.solid_nodes]
-    peak = math.sqrt(float(np.einsum("ni,ni->n", solid, solid).max(initial=0.0)))
+    peak = _peak(overlap.body, displacement)
     if not 0.0 < peak < np.inf:
         return None
     along = overlap.along(displacement)
@@ -75,3 +75,26 @@ def force_for_identity_iou(
         if not low < factor < high:
             factor = 0.5 * (low + high)
     return replace(load, load_number=load.load_number * factor)
+
+
+def force_for_peak(
+    body: Body, load: Load, displacement: Float64[np.ndarray, "nodes 3"], peak: float
+) -> Load | None:
+    """The load whose linear response moves the node that goes farthest by a wanted distance.
+
+    Args:
+        body: That is pushed.
+        load: Any load number above zero.
+        displacement: Linear nodal displacements under `load`.
+        peak: Wanted, in units of L.
+
+    Returns:
+        The same load with another load number; None where nothing moves.
+    """
+    found = _peak(body, displacement)
+    return replace(load, load_number=load.load_number * peak / found) if 0.0 < found < np.inf else None
+
+
+def _peak(body: Body, displacement: Float64[np.ndarray, "nodes 3"]) -> float:
+    solid = displacement[body.solid_nodes]
+    return math.sqrt(float(np.einsum("ni,ni->n", solid, solid).max(initial=0.0)))

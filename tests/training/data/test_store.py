@@ -106,6 +106,7 @@ def test_a_folder_of_another_configuration_is_not_drawn_into(tmp_path: Path) -> 
     store = Store(tmp_path)
     store.begin({"set": "x", "seed": 1, "range": (1, 2), "groups": 5})
     store.begin({"set": "x", "seed": 1, "range": (1, 2), "groups": 50})  # only more of the same
+    store.begin({"set": "x", "seed": 1, "range": (1, 2), "later": None, "groups": 5})  # what older code did not know
     with pytest.raises(StoreError, match=r"drawn otherwise \(seed differ\)"):
         store.begin({"set": "x", "seed": 2, "range": (1, 2), "groups": 5})
 
