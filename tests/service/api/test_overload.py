@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 import grpc
@@ -28,6 +29,7 @@ from tests.conftest import ROOT
 from tests.service import rpc_client
 from tests.service.box_scene import BoxScene
 from tests.service.fakes import FakePredictor, running
+from tests.service.waiting import metric, queue_depth, until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 QUESTION = rpc_client.message(SCENE.request())
@@ -129,20 +131,6 @@ class Stream:
         return [response.age_ms["reply"] for _, response in self.responses if response.HasField("answer")]
 
 
-def resident_bytes(service: Alone) -> float:
-    lines = httpx.get(f"{service.url}/metrics").text.splitlines()
-    return next(float(line.split()[1]) for line in lines if line.startswith("process_resident_memory_bytes "))
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
-
-
 def test_a_stream_of_far_too_many_frames_stays_fresh_and_flat(alone):
     """Six times as many frames as can be answered: every one has its response, and what is answered is new.
 
@@ -155,12 +143,12 @@ def test_a_stream_of_far_too_many_frames_stays_fresh_and_flat(alone):
         unloaded_ms = max(calm.ages_ms())
         flooded = Stream(channel)
         flooded.at_rate(120.0, 240)
-        before = resident_bytes(alone)
+        before = metric(alone.url, "process_resident_memory_bytes")
         flooded.hang_up()
         again = Stream(channel)
         again.at_rate(120.0, 240)
         again.hang_up()
-        after = resident_bytes(alone)
+        after = metric(alone.url, "process_resident_memory_bytes")
     for stream in (flooded, again):
         assert sorted(response.frame_id for _, response in stream.responses) == list(range(1, 241))
         ages_ms = sorted(stream.ages_ms())
@@ -185,12 +173,15 @@ def test_four_streams_have_their_fair_share(alone):
     shares = [len(stream.answered()) for stream in streams]
     assert min(shares) >= 0.7 * sum(shares) / 4, shares
     # None waits for longer than the turns of the others, that of the frame before, and its own.
+    came = sorted(came for stream in streams for came, response in stream.responses if response.HasField("answer"))
+    turn_ms = 1e3 * (came[-1] - came[0]) / (len(came) - 1)
     for stream in streams:
         ages_ms = sorted(stream.ages_ms())
-        assert ages_ms[math.floor(0.9 * len(ages_ms))] < 1e3 * 6 * INFERENCE_S + 500.0, ages_ms
+        # Six turns, and ten of whatever else this machine does, which lengthens each of them.
+        assert ages_ms[math.floor(0.9 * len(ages_ms))] < 16 * turn_ms, (ages_ms, turn_ms)
 
 
-def deaf_http(service: Alone) -> None:
+def deaf_http(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Asks for megabytes and never reads them."""
     body = json.dumps(SCENE.request(outputs=["displacement", "probability"], loads=SCENE.request()["loads"] * 4))
     head = f"{POST}Content-Length: {len(body)}\r\n\r\n"
@@ -198,28 +189,29 @@ def deaf_http(service: Alone) -> None:
     for one in sockets:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         one.sendall(head.encode() + body.encode())
-    time.sleep(0.5)
+    others_go_on()
     for one in sockets:
         one.close()
 
 
-def dripping_http(service: Alone) -> None:
+def dripping_http(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Sends a byte now and then."""
     with _connect(service) as one, suppress(OSError):
         one.sendall(f"{POST}Content-Length: 1000000\r\n\r\n".encode())
         for _ in range(20):
             one.sendall(b" ")
             time.sleep(0.02)
+        others_go_on()
 
 
-def vanishing_http(service: Alone) -> None:
+def vanishing_http(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Goes away in the middle of a frame, again and again."""
     for _ in range(20):
         with _connect(service) as one:
             one.sendall(f"{POST}Content-Length: 1000000\r\n\r\n".encode() + bytes(10_000))
 
 
-def noise(service: Alone) -> None:
+def noise(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Speaks neither HTTP nor HTTP/2, on either port."""
     for url in (service.url.removeprefix("http://"), service.grpc):
         host, port = url.rsplit(":", 1)
@@ -228,7 +220,7 @@ def noise(service: Alone) -> None:
                 one.sendall(bytes(range(256)) * 40)
 
 
-def bad_frames(service: Alone) -> None:
+def bad_frames(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Frames with one id, past their deadline, without a request, with a thousand loads."""
     with grpc.insecure_channel(service.grpc) as channel:
         stream = Stream(channel)
@@ -244,7 +236,7 @@ def bad_frames(service: Alone) -> None:
         assert outcomes.count("problem") >= 29 * 4 - 1
 
 
-def cut_streams(service: Alone) -> None:
+def cut_streams(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Streams whose connection is cut in the middle of a large frame, as when a robot leaves its radio's reach."""
     large = pb.DeformStreamRequest(frame_id=1, request=QUESTION)
     large.request.depth.data = bytes(4_000_000)
@@ -252,19 +244,19 @@ def cut_streams(service: Alone) -> None:
         with _relay(service.grpc, cut_after=200_000) as address:
             # What a client tries again by itself is no matter here.
             with grpc.insecure_channel(address, [("grpc.enable_retries", 0)]) as channel:
-                call = rpc_client.stub(channel).DeformStream(iter([large]), timeout=10)
+                call = rpc_client.stub(channel).DeformStream(iter([large]), timeout=30)
                 with pytest.raises(grpc.RpcError) as lost:
                     next(iter(call))
                 assert lost.value.code() == grpc.StatusCode.UNAVAILABLE
 
 
-def deaf_streams(service: Alone) -> None:
+def deaf_streams(service: Alone, others_go_on: Callable[[], None]) -> None:
     """Streams that never read their responses, and then are given up."""
     with grpc.insecure_channel(service.grpc) as channel:
         question = rpc_client.message(SCENE.request(outputs=["displacement"]))
         frames = [pb.DeformStreamRequest(frame_id=number, request=question) for number in range(100)]
         calls = [rpc_client.stub(channel).DeformStream(iter(frames), timeout=10) for _ in range(2)]
-        time.sleep(0.5)
+        others_go_on()
         for call in calls:
             call.cancel()
 
@@ -285,24 +277,29 @@ def test_whoever_misbehaves_every_other_stream_keeps_its_time(alone, misbehave):
                     return
                 stream.send(number)
 
+        def others_go_on() -> None:
+            seen = len(stream.responses)
+            assert until(lambda: len(stream.responses) >= seen + 5), "the good stream has stalled"
+
         robot = threading.Thread(target=frames)
         robot.start()
         try:
-            assert until(lambda: len(stream.responses) >= 5)
-            misbehave(alone)
-            seen = len(stream.responses)
-            assert until(lambda: len(stream.responses) >= seen + 5), "the good stream has stalled"
+            others_go_on()
+            assert until(lambda: len(stream.ages_ms()) >= 5)
+            calm_ms = stream.ages_ms()
+            misbehave(alone, others_go_on)
+            others_go_on()
         finally:
             stop.set()
             robot.join()
             stream.hang_up()
     assert len(stream.responses) == len(stream.sent)
     ages_ms = sorted(stream.ages_ms())
-    assert len(ages_ms) >= 5
-    # Of a machine that does other things as well: what is meant is that nothing blocks the loop or the worker.
-    assert ages_ms[math.floor(0.9 * len(ages_ms))] < 1000.0, ages_ms
+    # What is meant is that nothing blocks the loop or the worker; how long a frame takes on this machine, and what else
+    # that has to do, is what it took just before.
+    assert ages_ms[math.floor(0.9 * len(ages_ms))] < 20 * median(calm_ms), (ages_ms, calm_ms)
     assert httpx.get(f"{alone.url}/readyz").status_code == 200
-    assert until(lambda: "physnet_queue_depth 0.0" in httpx.get(f"{alone.url}/metrics").text)
+    assert until(lambda: queue_depth(alone.url) == 0)
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from service.core.errors import ContactOffBody
 from service.core.materials import MATERIALS
 from tests.service.box_scene import BoxScene, grid
 from tests.service.fakes import FakePredictor, Running, running
+from tests.service.waiting import queue_depth, until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 
@@ -326,31 +327,21 @@ def test_a_full_queue_is_told_with_retry_after_and_a_vanished_client_frees_its_p
         assert entered.wait(10)
         impatient = threading.Thread(target=post, args=(2.0,))
         impatient.start()
-        depth = lambda: "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text  # noqa: E731
-        assert until(depth)
+        assert until(lambda: queue_depth(service.url) == 1)
         refused = httpx.post(f"{service.url}/v1/deform", json=SCENE.request())
         document = problem(refused, 503, "overloaded")
         assert int(refused.headers["retry-after"]) >= 1
         assert "try again" in document["detail"]
         impatient.join()
-        assert until(lambda: not depth()), "a client that went away kept its place in the queue"
+        assert until(lambda: queue_depth(service.url) == 0), "a client that went away kept its place in the queue"
         patient = threading.Thread(target=post)
         patient.start()
-        assert until(depth)
+        assert until(lambda: queue_depth(service.url) == 1)
         gate.set()
         first.join()
         patient.join()
     assert sorted(replies) == [0, 200, 200]
     assert len(service.predictor.asked) == 2
-
-
-def until(condition, timeout_s: float = 5.0) -> bool:
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 def test_a_token_is_asked_for_where_one_is_set():

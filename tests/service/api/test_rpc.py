@@ -21,6 +21,7 @@ from service.core.errors import ContactOffBody
 from tests.service import rpc_client
 from tests.service.box_scene import BoxScene
 from tests.service.fakes import FakePredictor, Running, running
+from tests.service.waiting import metric, queue_depth, until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 
@@ -72,17 +73,7 @@ def details(error: grpc.RpcError, kind: Any) -> Any:
 
 def counted(service: Running, route: str, code: str) -> float:
     name = f'physnet_requests_total{{code="{code}",route="/physnet.v1.DeformationService/{route}",wire="grpc"}}'
-    lines = httpx.get(f"{service.url}/metrics").text.splitlines()
-    return sum(float(line.split()[-1]) for line in lines if line.startswith(name))
-
-
-def until(condition: Any, timeout_s: float = 5.0) -> bool:
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
+    return metric(service.url, name)
 
 
 def test_an_answer_is_counted_and_carries_the_callers_id(service, client):
@@ -190,15 +181,12 @@ def test_a_call_cancelled_or_past_its_deadline_frees_its_place():
         entered.set()
         assert gate.wait(10)
 
-    def waiting(service: Running) -> bool:
-        return "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text
-
     with running(FakePredictor(hold), queue_size=1) as service, grpc.insecure_channel(service.grpc) as channel:
         client = rpc_client.stub(channel)
         first = client.Deform.future(question(), timeout=20)
         assert entered.wait(10)
         cancelled = client.Deform.future(question(), timeout=20)
-        assert until(lambda: waiting(service))
+        assert until(lambda: queue_depth(service.url) == 1)
         refused = failed(client.Deform, question())
         assert refused.code() == grpc.StatusCode.UNAVAILABLE
         problem = details(refused, pb.Problem)
@@ -207,10 +195,10 @@ def test_a_call_cancelled_or_past_its_deadline_frees_its_place():
         retry = details(refused, error_details_pb2.RetryInfo).retry_delay
         assert retry.ToNanoseconds() == pytest.approx(problem.retry_after_s * 1e9, abs=1)
         cancelled.cancel()
-        assert until(lambda: not waiting(service)), "a cancelled call kept its place in the queue"
+        assert until(lambda: queue_depth(service.url) == 0), "a cancelled call kept its place in the queue"
         late = client.Deform.future(question(), timeout=2.0)
-        assert until(lambda: waiting(service))
-        assert until(lambda: not waiting(service)), "a call past its deadline kept its place in the queue"
+        assert until(lambda: queue_depth(service.url) == 1)
+        assert until(lambda: queue_depth(service.url) == 0), "a call past its deadline kept its place in the queue"
         assert late.code() == grpc.StatusCode.DEADLINE_EXCEEDED
         gate.set()
         assert first.result(timeout=10).request_id

@@ -17,6 +17,7 @@ from service.api.rpc_stream import UNANSWERED
 from tests.service import rpc_client
 from tests.service.box_scene import BoxScene
 from tests.service.fakes import FakePredictor, Running, running
+from tests.service.waiting import PATIENCE_S, queue_depth, until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 QUESTION = rpc_client.message(SCENE.request())
@@ -50,12 +51,12 @@ class Robot:
             self._frames.put(one)
 
     def next(self) -> pb.DeformStreamResponse:
-        return self.responses.get(timeout=10)
+        return self.responses.get(timeout=PATIENCE_S)
 
     def hang_up(self) -> list[pb.DeformStreamResponse]:
         """Half-close; the responses that still come."""
         self._frames.put(None)
-        self._reading.join(timeout=10)
+        self._reading.join(timeout=PATIENCE_S)
         assert not self._reading.is_alive(), "the stream did not end"
         return [self.responses.get() for _ in range(self.responses.qsize())]
 
@@ -170,14 +171,14 @@ def test_a_bad_frame_does_not_cost_the_one_that_waits_its_place():
 
 def test_streams_take_turns_and_keep_their_place_however_fast_one_sends():
     gate = Gate()
-    with served(gate) as (_, channel):
+    with served(gate) as (service, channel):
         greedy, modest = Robot(channel), Robot(channel)
         greedy.send(frame(1))
         assert gate.entered.acquire(timeout=10)
         greedy.send(frame(2))
-        time.sleep(0.1)
+        assert until(lambda: queue_depth(service.url) == 1)
         modest.send(frame(1))
-        time.sleep(0.1)
+        assert until(lambda: queue_depth(service.url) == 2)
         greedy.send(*(frame(number) for number in range(3, 20)))
         skipped = [greedy.next() for _ in range(17)]
         assert [one.frame_id for one in skipped] == list(range(2, 19))
@@ -204,10 +205,9 @@ def test_a_client_that_vanishes_gives_its_place_up():
         robot.send(frame(1))
         assert gate.entered.acquire(timeout=10)
         robot.send(frame(2))
-        depth = lambda: "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text  # noqa: E731
-        assert until(depth)
+        assert until(lambda: queue_depth(service.url) == 1)
         robot.vanish()
-        assert until(lambda: not depth()), "a stream that went away kept its place in the queue"
+        assert until(lambda: queue_depth(service.url) == 0), "a stream that went away kept its place in the queue"
         gate.passes.release(2)
         other.send(frame(1))
         assert outcome(other.next()) == (1, "answer")
@@ -236,12 +236,12 @@ def test_one_that_never_reads_and_one_that_never_sends_cost_the_others_nothing()
 
 def test_frames_that_come_while_the_queue_is_full_are_told_and_the_stream_goes_on():
     gate = Gate()
-    with served(gate, queue_size=1) as (_, channel):
+    with served(gate, queue_size=1) as (service, channel):
         first, second, third = Robot(channel), Robot(channel), Robot(channel)
         first.send(frame(1))
         assert gate.entered.acquire(timeout=10)
         second.send(frame(1))
-        time.sleep(0.2)
+        assert until(lambda: queue_depth(service.url) == 1)
         third.send(frame(1))
         response = third.next()
         assert response.problem.code == "overloaded"
@@ -262,7 +262,7 @@ def test_a_stop_answers_what_was_accepted_and_ends_the_stream():
         assert gate.entered.acquire(timeout=10)
         stopping = threading.Thread(target=service.stop)
         stopping.start()
-        time.sleep(0.2)
+        assert until(lambda: httpx.get(f"{service.url}/readyz").status_code == 503)
         robot.send(frame(2))
         response = robot.next()
         assert (outcome(response), response.problem.code) == ((2, "problem"), "overloaded")
@@ -272,15 +272,6 @@ def test_a_stop_answers_what_was_accepted_and_ends_the_stream():
         robot.hang_up()
         assert robot.error is not None
         assert robot.error.code() in (grpc.StatusCode.UNAVAILABLE, grpc.StatusCode.CANCELLED)
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 5.0) -> bool:
-    end = time.monotonic() + timeout_s
-    while time.monotonic() < end:
-        if condition():
-            return True
-        time.sleep(0.02)
-    return False
 
 
 def test_the_same_frame_over_stream_and_call_has_the_same_answer():

@@ -4,6 +4,7 @@ import asyncio
 import time
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
+from statistics import median
 
 import pytest
 
@@ -53,8 +54,10 @@ def test_a_stream_that_is_asked_for_too_much_skips_and_stays_fresh(service: Runn
     assert measured.outcomes["ok"] + measured.outcomes["skipped"] == 60
     # Client and service share this process: how many frames overtake each other depends on what else the machine does.
     assert measured.outcomes["skipped"] > 0
-    # One with the worker, one waiting: what is answered never waited for more than one other.
-    assert measured.latency.percentile(50.0) < 1e3 * 20 * WORK_S
+    # One with the worker, one waiting: what is answered has waited for one other, in a queue it would have for twenty.
+    # Held against what the rest of the same answer took, as all takes longer on a busy machine.
+    stages = zip(measured.stages_ms["queue"], measured.stages_ms["total"], strict=True)
+    assert median(queue_ms / (total_ms - queue_ms) for queue_ms, total_ms in stages) < 4.0
 
 
 def test_unary_calls_wait_for_each_other_and_are_counted_from_when_they_were_due(service: Running) -> None:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
-import httpx
 import numpy as np
 import pytest
 
@@ -40,6 +39,7 @@ from service.core.messages import EarlierReconstruction, KnownShape, Observation
 from tests.service.box_scene import BoxScene
 from tests.service.client.ports import free_ports
 from tests.service.fakes import FakePredictor, Running, fake_result, running
+from tests.service.waiting import metric, queue_depth, until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 CAMERA = Camera.from_json(SCENE.camera)
@@ -59,13 +59,6 @@ def react(request: Any) -> None:
 def service() -> Iterator[Running]:
     with running(FakePredictor(react), max_loads=4) as service:
         yield service
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 20.0) -> bool:
-    end = time.monotonic() + timeout_s
-    while not (found := condition()) and time.monotonic() < end:
-        time.sleep(0.02)
-    return found
 
 
 class Blocking:
@@ -285,11 +278,15 @@ def test_a_full_queue_is_tried_again_when_it_says_so(kind):
             with PhysNetClient(service.url, retry=ONCE) as other:
                 answers.append(other.deform(SCENE.counts(), CAMERA, PUSH, SOFT))
 
+        def release_once_refused(before: float) -> None:
+            assert until(lambda: metric(service.url, 'physnet_rejected_total{reason="overloaded"') > before)
+            gate.release(5)
+
         threads = [threading.Thread(target=ask) for _ in range(2)]
         threads[0].start()
         assert entered.acquire(timeout=10)
         threads[1].start()
-        assert until(lambda: "physnet_queue_depth 1.0" in httpx.get(f"{service.url}/metrics").text)
+        assert until(lambda: queue_depth(service.url) == 1)
         with KINDS[kind](url(service, kind), retry=ONCE) as client:
             began = time.monotonic()
             with pytest.raises(Overloaded) as caught:
@@ -297,7 +294,8 @@ def test_a_full_queue_is_tried_again_when_it_says_so(kind):
             assert caught.value.retry_after_s > 0.0
             assert time.monotonic() - began < 5.0
         with KINDS[kind](url(service, kind), timeout_s=20.0) as client:
-            threading.Timer(0.2, lambda: gate.release(5)).start()
+            told = metric(service.url, 'physnet_rejected_total{reason="overloaded"')
+            threading.Thread(target=release_once_refused, args=(told,)).start()
             began = time.monotonic()
             check(client.deform(SCENE.counts(), CAMERA, PUSH, SOFT), service.predictor.asked[0])
             # It came back after the time that it was told, not at once.
@@ -310,11 +308,15 @@ def test_a_full_queue_is_tried_again_when_it_says_so(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_deadline_ends_the_call_and_the_service_hears_of_it(kind):
     gate = threading.Event()
+    gate.set()
 
     def hold(_: Any) -> None:
         gate.wait(20)
 
     with running(FakePredictor(hold)) as service, KINDS[kind](url(service, kind)) as client:
+        # The connection is there, so that the deadline is that of a question and its answer.
+        client.deform(SCENE.counts(), CAMERA, PUSH, SOFT)
+        gate.clear()
         began = time.monotonic()
         with pytest.raises(DeadlineExceeded):
             client.deform(SCENE.counts(), CAMERA, PUSH, SOFT, timeout_s=0.4)
@@ -322,9 +324,9 @@ def test_a_deadline_ends_the_call_and_the_service_hears_of_it(kind):
         # One that waits behind it has gone from the queue before it was computed.
         with pytest.raises(DeadlineExceeded):
             client.deform(SCENE.counts(), CAMERA, PUSH, SOFT, timeout_s=0.4)
-        time.sleep(0.2)
+        assert until(lambda: queue_depth(service.url) == 0)
         gate.set()
-    assert len(service.predictor.asked) == 1
+    assert len(service.predictor.asked) == 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -414,9 +416,7 @@ def test_an_address_that_is_none_is_refused_at_once(url):
         PhysNetClient(url)
 
 
-@pytest.mark.parametrize(
-    "depth", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.int32), np.zeros(16, np.float32)]
-)
+@pytest.mark.parametrize("depth", [np.zeros((4, 4, 3), np.uint8), np.zeros((4, 4), np.int32), np.zeros(16, np.float32)])
 def test_an_array_that_is_no_depth_image_is_refused_before_it_travels(depth):
     with PhysNetClient() as client, pytest.raises(ValueError, match="height × width"):
         client.deform(depth, CAMERA, PUSH)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
 
@@ -18,6 +18,7 @@ from service.core.errors import ContactOffBody, PhysNetError, Unauthenticated
 from tests.service.box_scene import BoxScene
 from tests.service.client.ports import free_ports
 from tests.service.fakes import FakePredictor, Running, running
+from tests.service.waiting import until
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 CAMERA = Camera.from_json(SCENE.camera)
@@ -165,7 +166,7 @@ def test_the_latest_answer_leaves_older_ones(service, gate, wire):
     with PhysNetClient(url(service, wire)) as client, client.stream() as stream:
         for number in range(3):
             stream.send(*ARGUMENTS)
-            until(lambda n=number: stream.counts().answered == n + 1)
+            assert until(lambda n=number: stream.counts().answered == n + 1)
         assert stream.latest(timeout_s=1.0).frame_id == 2
         assert stream.counts().dropped == 2
         assert stream.next(timeout_s=0.05) is None
@@ -216,13 +217,6 @@ def test_a_stream_that_is_given_up_ends_at_once(service, gate, wire):
         assert time.monotonic() - began < 5.0
         assert [outcome(answer) for answer in stream] == [(0, "problem")]
         gate.passes.release(10)
-
-
-def until(condition: Callable[[], bool], timeout_s: float = 20.0) -> None:
-    end = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end, "it never came to that"
-        time.sleep(0.01)
 
 
 @pytest.mark.parametrize("wire", WIRES)

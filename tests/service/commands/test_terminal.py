@@ -8,6 +8,7 @@ import time
 import pytest
 
 from service.commands.terminal import Terminal, pascals, wants_colour
+from tests.service.waiting import until
 
 
 class Screen(io.StringIO):
@@ -47,8 +48,7 @@ def test_tables_are_cut_at_the_edge_of_a_terminal_and_nowhere_else(monkeypatch):
 def test_what_takes_long_shows_that_it_lives():
     screen = Screen()
     with Terminal(False, io.StringIO(), screen).working("opening the models"):
-        time.sleep(0.6)
-    assert "opening the models" in screen.getvalue()
+        assert until(lambda: "opening the models" in screen.getvalue())
     # And leaves nothing behind.
     assert screen.getvalue().endswith("\r\x1b[K")
 
