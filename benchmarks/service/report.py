@@ -47,7 +47,8 @@ PICTURE = ROOT / "docs" / "images" / "latency.svg"
 @dataclass(frozen=True)
 class Row:
     """One run of the open loop: `rate_hz` questions a second of each client, for a share of the whole duration; with
-    `awake` the machine's cores do not sleep between them."""
+    `awake` the machine's cores do not sleep between them.
+    """
 
     name: str
     target: str
