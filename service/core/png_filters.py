@@ -83,6 +83,7 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
 @compiled
 def unfilter_bytes(rows: UInt8[np.ndarray, "height filtered"], grey: UInt8[np.ndarray, "height width"]) -> bool:
     """The same for an image of one 8-bit channel."""
+    # Apart, for one body for both sizes takes a depth image 1.2 to 1.5 times as long and compiles in 1.7 s, not 1.3.
     width = grey.shape[1]
     nothing_above = np.zeros(width, np.uint8)
     for row in range(len(grey)):
