@@ -26,7 +26,7 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("network", choices=["reconstruction", "deformation"])
     fit.add_argument("--data", type=Path, required=True, help="folder of the data set")
     fit.add_argument("--run", dest="run_folder", type=Path, required=True, help="folder of the run")
-    fit.add_argument("--preset", default="realtime", help="realtime, realtime-gan, paper, or icgan (deformation only)")
+    fit.add_argument("--preset", default="realtime", help="realtime, realtime-gan, paper; realtime-lattice, icgan")
     fit.add_argument("--steps", type=int, help="optimizer steps in all")
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)

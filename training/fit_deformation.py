@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from torch.nn import functional
 
 from training.configs import FitDeformationConfig
 from training.data.batches import DeformationBatch, DeformationSet
+from training.data.lattice import LatticeBatch, LatticeSet
 from training.data.store import Store
 from training.fit_critic import Adversary
 from training.fit_loop import Learner, training_steps
@@ -49,8 +51,11 @@ def fit_deformation(
     Raises:
         RunError: The run was begun otherwise, or its loss is no longer finite.
         StoreError: A data set cannot be read.
+        ValueError: The lattice is asked for where nothing is corrected, or with a critic.
     """
     prior = isinstance(config.network, DeformationConfig) and config.network.prior
+    if config.lattice and (not prior or config.adversary):
+        raise ValueError("only a correction of the coarse solve, without a critic, is learned on its lattice")
     training, validation = (DeformationSet.load(data, split, prior) for split in ("train", "validation"))
     if more:
         training = training.joined([DeformationSet.load(folder, "train", prior) for folder in more])
@@ -66,6 +71,7 @@ def fit_deformation(
     if begin_from is not None:
         config = replace(config, begun_from=take_weights(network, begin_from))
         run.say(f"begins with {config.begun_from}")
+    drawn = LatticeSet.of(training) if config.lattice else training
     learner = Learner(network, config.optimizer, config.steps)
     adversary = Adversary(config.adversary, config.steps) if config.adversary else None
     parts = learner.parts() | ({"critic": adversary} if adversary else {})
@@ -74,11 +80,11 @@ def fit_deformation(
         run, config, parts, Store(data).manifest(), lambda: validate(network, validation, config.validation_samples)
     ):
         network.train()
-        batch = augmented(training.batch_by_body(config.bodies, config.loads, step.rng), step.rng)
+        batch = augmented(drawn.batch_by_body(config.bodies, config.loads, step.rng), step.rng)
         terms, answer = step_losses(network, batch, config, step.rng)
         loss = sum(terms.values(), start=torch.zeros(()))
         step.losses = {name: value.item() for name, value in terms.items()}
-        if adversary and adversary.learns_at(step.index):
+        if adversary and isinstance(batch, DeformationBatch) and adversary.learns_at(step.index):
             fake = occupancy_of(network, batch, answer)
             given, condition = batch.rest_of_loads, batch.condition
             step.losses |= adversary.learn(given, condition, fake, batch.deformed)
@@ -88,7 +94,21 @@ def fit_deformation(
         learner.learn(loss)
 
 
-def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationBatch:
+SameT = TypeVar("SameT")
+
+
+@runtime_checkable
+class Symmetric(Protocol):
+    """A batch of a problem that a vertical mirror leaves as it is."""
+
+    def mirrored(self: SameT, axis: int) -> SameT: ...
+    def transposed(self: SameT) -> SameT: ...
+
+
+BatchT = TypeVar("BatchT", bound=Symmetric)
+
+
+def augmented(batch: BatchT, rng: np.random.Generator) -> BatchT:
     """One of the eight symmetries of the square for the whole batch."""
     for axis in (0, 1):
         if rng.random() < 0.5:
@@ -97,40 +117,41 @@ def augmented(batch: DeformationBatch, rng: np.random.Generator) -> DeformationB
 
 
 def step_losses(
-    network: DeformationNetwork | PhysNet, batch: DeformationBatch, config: FitDeformationConfig,
+    network: DeformationNetwork | PhysNet, batch: DeformationBatch | LatticeBatch, config: FitDeformationConfig,
     rng: np.random.Generator,
 ) -> tuple[dict[str, Tensor], Tensor]:  # fmt: skip
     """Weighted terms of L_VAE for one batch, and the network's answer: a correction, or logits."""
     noise = torch.randn(len(batch.condition), config.network.latent)
     if isinstance(network, PhysNet):
+        assert isinstance(batch, DeformationBatch), "it corrects nothing"
         answer, mean, log_variance = network(batch.rest, batch.condition, noise)
         terms = {"occupancy": modified_bce_with_logits(answer, batch.deformed, config.alpha)}
     else:
         answer, mean, log_variance = network(batch.rest, batch.condition, noise, batch.prior_forward)
-        terms = field_losses(batch, answer, config, rng)
+        terms = {"displacement": displacement_loss(batch, answer)}
+        if isinstance(batch, DeformationBatch):
+            terms["occupancy"] = config.occupancy_weight * occupancy_loss(batch, answer, config, rng)
     return terms | {"kl": config.kl_weight * kl_divergence(mean, log_variance)}, answer
 
 
-def field_losses(
-    batch: DeformationBatch, correction: Tensor, config: FitDeformationConfig, rng: np.random.Generator
-) -> dict[str, Tensor]:
-    """Relative displacement error over the body at rest, and cross-entropy of voxels near the surfaces.
-
-    The first looks nothing up, and so costs little for all that it sees; the second is what is served, forward and
-    back, at a few places that stand for all.
-    """
-    moved = functional.interpolate(
-        batch.prior_forward + correction, size=batch.forward.shape[2:], mode="trilinear", align_corners=False
-    )
+def displacement_loss(batch: DeformationBatch | LatticeBatch, correction: Tensor) -> Tensor:
+    """Relative displacement error over the body at rest: it looks nothing up, and costs little for all it sees."""
+    moved = batch.prior_forward + correction
+    if moved.shape[2:] != batch.forward.shape[2:]:
+        moved = functional.interpolate(moved, size=batch.forward.shape[2:], mode="trilinear", align_corners=False)
     covered = batch.rest_coverage.repeat_interleave(len(moved) // len(batch.rest), dim=0)
+    return relative_displacement(moved, batch.forward, covered, batch.peak, HALF_VOXEL)
+
+
+def occupancy_loss(
+    batch: DeformationBatch, correction: Tensor, config: FitDeformationConfig, rng: np.random.Generator
+) -> Tensor:
+    """Cross-entropy of voxels near the surfaces: what is served, forward and back, at a few places for all."""
     voxels, target = sample_voxels(batch, config.points, rng)
     source = voxels - displacement_at(correction, batch.prior_backward, voxels).transpose(1, 2)
     body = smoothed(batch.rest).repeat_interleave(len(source) // len(batch.rest), dim=0)
     occupancy = sample_field(body, source, outside="zeros")[:, 0]
-    return {
-        "displacement": relative_displacement(moved, batch.forward, covered, batch.peak, HALF_VOXEL),
-        "occupancy": config.occupancy_weight * modified_bce(occupancy, target, config.alpha),
-    }
+    return modified_bce(occupancy, target, config.alpha)
 
 
 def occupancy_of(network: DeformationNetwork | PhysNet, batch: DeformationBatch, answer: Tensor) -> Tensor:

@@ -51,6 +51,7 @@ SHORT = replace(tiny.FIT_DEFORMATION, steps=4, validate_every=2)
 SHORT_VIEWS = replace(tiny.FIT_RECONSTRUCTION, steps=4, validate_every=2)
 CONFIGS: dict[str, FitDeformationConfig | FitReconstructionConfig] = {
     "deformation": tiny.FIT_DEFORMATION,
+    "deformation on the lattice": replace(SHORT, lattice=True),
     "deformation against a critic": replace(SHORT, adversary=tiny.adversary(ConditionConfig())),
     "the paper's deformation": replace(SHORT, network=tiny.PHYSNET, adversary=tiny.adversary(REAL)),
     "reconstruction": tiny.FIT_RECONSTRUCTION,
@@ -141,6 +142,13 @@ def test_a_run_may_train_on_the_bodies_of_more_sets_and_says_so(
     for more in ([], [deformations]):
         with pytest.raises(RunError, match="more"):
             fit_deformation(deformations, Run(tmp_path), begun, more=more)
+
+
+def test_only_a_correction_is_learned_on_the_lattice(deformations: Path, tmp_path: Path) -> None:
+    against = replace(SHORT, lattice=True, adversary=tiny.adversary(ConditionConfig()))
+    for config in (replace(SHORT, lattice=True, network=tiny.PHYSNET), against):
+        with pytest.raises(ValueError, match="only a correction"):
+            fit_deformation(deformations, Run(tmp_path), config)
 
 
 def test_a_run_may_begin_with_the_weights_of_another_and_says_so(program: Program, tmp_path: Path) -> None:

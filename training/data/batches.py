@@ -148,12 +148,18 @@ class DeformationSet:
 
     def batch_by_body(self, bodies: int, loads: int, rng: np.random.Generator) -> DeformationBatch:
         """Random loads on a few random bodies, which the encoder then sees once each."""
+        return self._batch(*self.draw(bodies, loads, rng))
+
+    def draw(
+        self, bodies: int, loads: int, rng: np.random.Generator
+    ) -> tuple[Int[np.ndarray, " bodies"], Int[np.ndarray, " b"]]:
+        """Random bodies, all alike, and the rows of random loads on each of them."""
         chosen = rng.choice(np.unique(self.body), bodies, replace=False)
         rows = []
         for body in chosen:
             own = np.flatnonzero(self.body == body)
             rows.append(rng.choice(own, loads, replace=len(own) < loads))
-        return self._batch(chosen, np.concatenate(rows))
+        return chosen, np.concatenate(rows)
 
     def _batch(self, bodies: Int[np.ndarray, " bodies"], rows: Int[np.ndarray, " b"]) -> DeformationBatch:
         rest, deformed = unpack(self.rest[bodies]), unpack(self.deformed[rows])
@@ -217,9 +223,7 @@ class DeformationBatch:
 
     def mirrored(self, axis: int) -> DeformationBatch:
         """Mirror image in the plane through the middle of the cube across horizontal axis 0 or 1: still a solution."""
-        condition = self.condition.clone()
-        condition[:, axis] = 1.0 - condition[:, axis]
-        condition[:, 3 + axis] *= -1.0
+        condition = mirrored_condition(self.condition, axis)
         fields = [field.flip(2 + axis) for field in self._vector_fields]
         for field in fields:
             field[:, axis] *= -1.0
@@ -232,10 +236,9 @@ class DeformationBatch:
 
     def transposed(self) -> DeformationBatch:
         """Mirror image in the vertical plane x = y; with `mirrored` it makes the quarter turns."""
-        swap = [1, 0, 2]
-        condition = torch.cat([self.condition[:, swap], self.condition[:, [4, 3, 5]], self.condition[:, 6:]], dim=1)
+        condition = transposed_condition(self.condition)
         displacement, forward, prior_forward, prior_backward = (
-            field[:, swap].transpose(2, 3) for field in self._vector_fields
+            field[:, [1, 0, 2]].transpose(2, 3) for field in self._vector_fields
         )
         return DeformationBatch(
             self.rest.transpose(2, 3), condition, self.deformed.transpose(1, 2), displacement,
@@ -246,6 +249,19 @@ class DeformationBatch:
     @property
     def _vector_fields(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         return self.displacement, self.forward, self.prior_forward, self.prior_backward
+
+
+def mirrored_condition(condition: Float[Tensor, "b 9"], axis: int) -> Float[Tensor, "b 9"]:
+    """Of the mirror image across horizontal axis 0 or 1."""
+    mirrored = condition.clone()
+    mirrored[:, axis] = 1.0 - mirrored[:, axis]
+    mirrored[:, 3 + axis] *= -1.0
+    return mirrored
+
+
+def transposed_condition(condition: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:
+    """Of the mirror image in the plane x = y."""
+    return torch.cat([condition[:, [1, 0, 2]], condition[:, [4, 3, 5]], condition[:, 6:]], dim=1)
 
 
 @dataclass(frozen=True)
