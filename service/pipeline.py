@@ -22,6 +22,7 @@ from service.core.displacement import Field
 from service.core.errors import InvalidRequest
 from service.core.grids import Grid
 from service.core.limits import DEFAULT_LIMITS, FrameLimits
+from service.core.lookup import Inside
 from service.core.materials import Material
 from service.core.messages import (
     DeformRequest,
@@ -61,7 +62,7 @@ class Body:
         occupancy: The body.
         flags: What the robot should know about it.
         crop: The depth image around it, in which later contacts are looked up; None for a known shape.
-        smooth: What the deformed body is looked up in, where that tells more than the voxels of `occupancy`: the
+        inside: What the deformed body is looked up in, where that tells more than the voxels of `occupancy`: the
             probability of a reconstruction, whose doubt so goes on into the answer, or the smoothed occupancy of a
             known shape that is not answered in its own grid.
     """
@@ -72,7 +73,7 @@ class Body:
     occupancy: Occupancy
     flags: frozenset[str]
     crop: DepthCrop | None = None
-    smooth: Probability | None = None
+    inside: Inside | None = None
 
     @cached_property
     def surface_m(self) -> Float64[np.ndarray, "axis=3 n"]:
@@ -83,8 +84,8 @@ class Body:
     def nbytes(self) -> int:
         """Memory of its arrays."""
         depth_m = None if self.crop is None else self.crop.depth_m
-        smooth = None if self.smooth is self.probability else self.smooth
-        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, smooth)
+        inside = None if self.inside is None or self.inside.values is self.probability else self.inside.values
+        arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, inside)
         return sum(array.nbytes for array in arrays if array is not None)
 
 
@@ -211,7 +212,8 @@ class Pipeline:
             probability = resample(seen, view.grid, grid)
             observed = voxelize_points(found.points, grid)
             occupancy = cover(probability > cut, observed)
-        return Body(grid, observed, probability, occupancy, found.flags, crop, smooth=probability), contacts
+            inside = Inside(probability, probable=True)
+        return Body(grid, observed, probability, occupancy, found.flags, crop, inside), contacts
 
     def _place(self, source: KnownShape, loads: tuple[Load, ...], watch: Stopwatch) -> tuple[Body, list[Vector3]]:
         """A known shape in its own grid or, where that does not serve, its body grid; contacts in the camera frame."""
@@ -224,9 +226,9 @@ class Pipeline:
                 return Body(grid, None, occupancy.astype(np.float32), occupancy, frozenset()), contacts
             grid = body_grid(given, given_grid, up=source.up, on_floor=False)
             probability = resample(given.astype(np.float32), given_grid, grid)
-            smooth = resample(smoothed(given), given_grid, grid)
+            inside = Inside(resample(smoothed(given), given_grid, grid), probable=False)
         occupancy = probability > KNOWN_SHAPE_THRESHOLD
-        return Body(grid, None, probability, occupancy, frozenset(), smooth=smooth), contacts
+        return Body(grid, None, probability, occupancy, frozenset(), inside=inside), contacts
 
     def _deform(
         self, body: Body, contacts: list[Vector3], request: DeformRequest, watch: Stopwatch
@@ -235,13 +237,13 @@ class Pipeline:
         with watch.stage("deform"):
             asked = self._deformation.spare.offer(Once(lambda: self._questions(body, contacts, request)))
             if any(load.force_n.any() for load in request.loads):
-                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.smooth)
+                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside)
             questions = asked()
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[LoadResult] = iter(())
             if conditions:
                 deformation = self._deformation(
-                    body.occupancy, conditions, request.uncertainty_samples, smooth=body.smooth
+                    body.occupancy, conditions, request.uncertainty_samples, inside=body.inside
                 )
                 threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
                 moving = [question for question in questions if question.condition is not None]

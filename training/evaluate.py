@@ -57,7 +57,10 @@ Reconstructing: TypeAlias = ReconstructionNetwork | RecGan
 
 @torch.no_grad()
 def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold: float) -> Figures:
-    """Figures over a split; those of moved samples (identity IoU below 0.95) only where there are any."""
+    """Figures over a split; those of moved samples (identity IoU below 0.95) only where there are any.
+
+    The calibration error is told twice: of all voxels of the split together, and as the mean of each sample's own.
+    """
     scores, errors, means, calibration, peaks, relative = [], [], [], [], [], []
     for rows in np.array_split(np.arange(len(samples)), max(1, len(samples) // BATCH)):
         batch = samples.batch(rows)
@@ -72,7 +75,7 @@ def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold:
             predicted = probability[i] > threshold
             scores.append((iou(predicted, truth), iou(rest, truth), changed_voxel_iou(predicted, truth, rest),
                            iou(probability[i] > 0.8, truth)))  # fmt: skip
-            calibration.append(error_of_curve(_calibration(probability[i], truth)))
+            calibration.append(_calibration(probability[i], truth))
             inside = batch.coverage[i, 0].numpy() > 0
             if answer.field is not None and inside.any():
                 errors.append(displacement_error(answer.field[i], batch.displacement[i].numpy(), inside))
@@ -101,7 +104,8 @@ def evaluate_deformation(network: Deforming, samples: DeformationSet, threshold:
             "displacement_error_p95": float(np.mean([e["p95_of_peak"] for e in errors])),
             "peak_ratio_median": float(np.median(peaks)),
         }
-    figures["calibration_error"] = float(np.mean(calibration))
+    figures["calibration_error"] = error_of_curve(np.sum(calibration, axis=0))
+    figures["calibration_error_of_a_sample"] = float(np.mean([error_of_curve(curve) for curve in calibration]))
     figures["active_latents"] = active_latents(np.concatenate(means))
     return figures
 

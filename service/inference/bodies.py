@@ -10,9 +10,9 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float32
 
-from service.core.arrays import Occupancy, Probability
+from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX
-from service.core.lookup import Warp
+from service.core.lookup import Inside, Warp
 from service.core.prior import ElasticPrior
 from service.inference.spare_cores import Once
 
@@ -30,7 +30,7 @@ class PreparedBody:
 
     Args:
         rest: The body.
-        smooth: See `service.core.lookup.Warp`.
+        inside: See `service.core.lookup.Warp`.
         encode: Encodes it for the network.
 
     Attributes:
@@ -39,12 +39,12 @@ class PreparedBody:
     """
 
     def __init__(
-        self, rest: Occupancy, smooth: Probability | None, encode: Callable[[Float32[np.ndarray, "..."]], Features]
+        self, rest: Occupancy, inside: Inside | None, encode: Callable[[Float32[np.ndarray, "..."]], Features]
     ) -> None:
         self.rest = rest
-        self.smooth = smooth
+        self.inside = inside
         self.features = Once(lambda: encode(rest.astype(np.float32)[None, None]))
-        self.warp = Once(lambda: Warp(rest, smooth))
+        self.warp = Once(lambda: Warp(rest, inside))
         self._lock = threading.Lock()
         self._solvers: dict[np.float32, Once[ElasticPrior]] = {}
 
@@ -71,14 +71,14 @@ class Bodies:
         self._kept: list[PreparedBody] = []
         self._lock = threading.Lock()
 
-    def find(self, rest: Occupancy, smooth: Probability | None) -> PreparedBody:
+    def find(self, rest: Occupancy, inside: Inside | None) -> PreparedBody:
         """A body, kept if it is the same array that was asked about before."""
         with self._lock:
             for body in self._kept:
-                if body.rest is rest and body.smooth is smooth:
+                if body.rest is rest and body.inside is inside:
                     self._kept.remove(body)
                     break
             else:
-                body = PreparedBody(rest, smooth, self._encode)
+                body = PreparedBody(rest, inside, self._encode)
             self._kept = [*self._kept, body][-KEPT_BODIES:]
             return body

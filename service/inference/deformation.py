@@ -10,9 +10,10 @@ import numpy as np
 import onnxruntime
 from jaxtyping import Float32
 
-from service.core.arrays import Occupancy, Probability
+from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
 from service.core.displacement import corrected
+from service.core.lookup import Inside
 from service.core.manifest import Manifest
 from service.core.prior import Nodal
 from service.core.spread import Spread
@@ -73,16 +74,16 @@ class DeformationModel:
         self._latent = int(next(i for i in generator.get_inputs() if i.name == "noise").shape[1])
         self._bodies = Bodies(self._encode)
 
-    def prepare(self, rest: Occupancy, poisson_ratio: float, smooth: Probability | None = None) -> None:
+    def prepare(self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None) -> None:
         """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides."""
-        body = self._bodies.find(rest, smooth)
+        body = self._bodies.find(rest, inside)
         self.spare.offer(body.features)
         self.spare.offer(body.warp)
         body.solver(poisson_ratio)()
 
-    def prior(self, rest: Occupancy, conditions: Sequence[Condition], smooth: Probability | None = None) -> Prior:
+    def prior(self, rest: Occupancy, conditions: Sequence[Condition], inside: Inside | None = None) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
-        body = self._bodies.find(rest, smooth)
+        body = self._bodies.find(rest, inside)
         ratios = [float(condition[POISSON_RATIO]) for condition in conditions]
         solver = body.solver(ratios[0])()
         nodal = np.empty((len(conditions), 3, len(solver.grid.nodes)), np.float32)
@@ -99,7 +100,7 @@ class DeformationModel:
 
     def __call__(
         self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,
-        smooth: Probability | None = None,
+        inside: Inside | None = None,
     ) -> Deformation:  # fmt: skip
         """Deform one body under each of n loads.
 
@@ -109,10 +110,10 @@ class DeformationModel:
             samples: 0 takes the latent's mean; more averages the answers over that many draws of it (fixed seed, so
                 that a question asked twice has one answer).
             prior: Of these loads, if it is known already.
-            smooth: See `service.core.lookup.Warp`.
+            inside: See `service.core.lookup.Warp`.
         """
-        body = self._bodies.find(rest, smooth)
-        known = prior or self.prior(rest, conditions, smooth)
+        body = self._bodies.find(rest, inside)
+        known = prior or self.prior(rest, conditions, inside)
         inputs = {**body.features(), "condition": np.stack(conditions), "prior": known.forward}
         loads = len(conditions)
 

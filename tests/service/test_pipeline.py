@@ -364,10 +364,11 @@ def test_a_known_shape_is_smoothed_in_its_own_grid(pipeline: Pipeline) -> None:
     given = brick(up=leaning()).source
     assert isinstance(given, KnownShape)
     body, _ = pipeline._place(given, (), Stopwatch())
-    assert body.smooth is not None
-    between = (body.smooth > 0.02) & (body.smooth < 0.98)
+    assert body.inside is not None and not body.inside.probable
+    smooth = body.inside.values
+    between = (smooth > 0.02) & (smooth < 0.98)
     again = smoothed(body.occupancy)
-    assert np.abs(body.smooth - again)[between].max() > 0.02
+    assert np.abs(smooth - again)[between].max() > 0.02
     # Both tell the same body but for its edges, which smoothing rounds.
-    assert ((body.smooth > 0.5) ^ body.occupancy).sum() < 0.05 * body.occupancy.sum()
-    assert body.nbytes > body.smooth.nbytes + body.probability.nbytes
+    assert ((smooth > 0.5) ^ body.occupancy).sum() < 0.05 * body.occupancy.sum()
+    assert body.nbytes > smooth.nbytes + body.probability.nbytes

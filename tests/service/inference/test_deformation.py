@@ -6,7 +6,7 @@ import pytest
 
 from service.core.condition import CONDITION_FIELDS
 from service.core.displacement import corrected
-from service.core.lookup import Warp, warp
+from service.core.lookup import Inside, Warp, warp
 from service.core.motion import motion
 from service.core.prior import ElasticPrior
 from service.inference.bodies import KEPT_BODIES
@@ -104,16 +104,16 @@ def test_a_body_asked_about_again_is_prepared_once(models: Models, monkeypatch: 
     made = []
 
     class Counted(Warp):
-        def __init__(self, rest: np.ndarray, smooth: np.ndarray | None = None) -> None:
-            made.append(smooth)
-            super().__init__(rest, smooth)
+        def __init__(self, rest: np.ndarray, inside: Inside | None = None) -> None:
+            made.append(inside)
+            super().__init__(rest, inside)
 
     monkeypatch.setattr("service.inference.bodies.Warp", Counted)
-    body, smooth = BODY.copy(), 0.9 * BODY.astype(np.float32)
+    body, inside = BODY.copy(), Inside(0.9 * BODY.astype(np.float32), probable=True)
     first, again = (models.deformation(body, [push()]) for _ in range(2))
     np.testing.assert_array_equal(first.probability, again.probability)
     assert made == [None]
-    models.deformation(body, [push()], smooth=smooth)
+    models.deformation(body, [push()], inside=inside)
     assert len(made) == 2
 
 

@@ -69,7 +69,8 @@ def test_the_warp_with_a_gradient_is_the_one_that_serves() -> None:
     correction.requires_grad_(True)
     soft = soft_warp(raised, correction, backward)
     rest = raised[0, 0].numpy() > 0.5
-    served = lookup.warp(rest, corrected(backward[0].numpy(), correction[0].detach().numpy()))
+    values = lookup.Inside(smoothing.smoothed(rest), probable=True)  # before they are told as probabilities
+    served = lookup.Warp(rest, values)(corrected(backward[0].numpy(), correction[0].detach().numpy()))
     assert np.abs(soft[0].detach().numpy() - served).max() < 0.1
     torch.autograd.backward(soft.sum())
     assert correction.grad is not None
