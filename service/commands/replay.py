@@ -89,7 +89,8 @@ def _run(given: argparse.Namespace) -> int:
                 frames = _first(frames, given.limit)
             stream = stack.enter_context(_stream(given, stack, terminal))
             writers = _writers(given, stack)
-            progress = ProgressLine(sys.stderr)
+            # Of the first N frames nobody knows how long they take.
+            progress = ProgressLine(sys.stderr, recording.duration_s if given.limit is None else 0.0)
             stack.callback(progress.end)
             every = given.rate == 0.0
             summary = play(

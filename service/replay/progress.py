@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import time
 from typing import Protocol, runtime_checkable
 
@@ -12,6 +13,9 @@ PERCENTILES = (50.0, 95.0, 99.0)
 
 PERIOD_S = 0.1
 """Between two lines: faster than that nobody reads."""
+
+BAR = 10
+"""Characters of the bar."""
 
 
 @runtime_checkable
@@ -24,10 +28,16 @@ class Stream(Protocol):
 
 
 class ProgressLine:
-    """One line that is written over itself, on a terminal; nothing elsewhere."""
+    """One line that is written over itself, on a terminal; nothing elsewhere.
 
-    def __init__(self, out: Stream) -> None:
+    Args:
+        out: Where it is written.
+        duration_s: Of what is played, for a bar; 0 where nobody knows.
+    """
+
+    def __init__(self, out: Stream, duration_s: float = 0.0) -> None:
         self._out = out
+        self._duration_s = duration_s
         self._shown = out.isatty()
         self._last = -math.inf
 
@@ -37,7 +47,10 @@ class ProgressLine:
         if not self._shown or now - self._last < PERIOD_S:
             return
         self._last = now
-        self._out.write("\r\x1b[K" + line(summary))
+        # A line that the terminal breaks could not be written over.
+        room = shutil.get_terminal_size().columns - 1
+        shown = bar(summary.recorded_s / self._duration_s) if self._duration_s > 0.0 else ""
+        self._out.write("\r\x1b[K" + (shown + line(summary))[:room])
         self._out.flush()
 
     def end(self) -> None:
@@ -45,6 +58,12 @@ class ProgressLine:
         if self._shown and self._last > -math.inf:
             self._out.write("\r\x1b[K")
             self._out.flush()
+
+
+def bar(share: float) -> str:
+    """How far it is: `━━━━──────`."""
+    done = min(BAR, int(share * BAR))
+    return "━" * done + "─" * (BAR - done)
 
 
 def line(summary: Summary) -> str:

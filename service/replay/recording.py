@@ -25,9 +25,11 @@ class Recording(Protocol):
 
     Attributes:
         topics: Type of message of each topic, as ROS 2 writes it: `sensor_msgs/msg/Image`.
+        duration_s: From its first message to its last; 0 where it does not say.
     """
 
     topics: dict[str, str]
+    duration_s: float
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """Topic, nanoseconds at which it was recorded, and message, in the order of time."""
@@ -67,6 +69,7 @@ class BagRecording:
             # A truncated file shows itself in as many ways as it has records.
             raise RecordingError(f"{path} cannot be read: {error!r}") from error
         self.topics = {topic: info.msgtype for topic, info in self._reader.topics.items() if info.msgtype}
+        self.duration_s = 1e-9 * self._reader.duration if self._reader.message_count else 0.0
 
     def messages(self, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
         """See `Recording.messages`."""
@@ -102,6 +105,8 @@ class McapRecording:
         if summary is None:
             self._file.close()
             raise RecordingError(f"{path} has no index: repair it with `mcap recover`")
+        told = summary.statistics
+        self.duration_s = 1e-9 * (told.message_end_time - told.message_start_time) if told else 0.0
         self._store: Typestore = get_typestore(Stores.EMPTY)
         self.topics: dict[str, str] = {}
         self._encodings: dict[str, str] = {}

@@ -44,6 +44,7 @@ def test_every_recording_gives_the_same_frames(tmp_path, form, kind):
         topics = find_topics(recording)
         assert (topics.depth, topics.info) == (COMPRESSED if kind in ("png", "rvl") else DEPTH, INFO)
         frames = list(recorded_frames(recording, topics, up_frame="base_link"))
+        assert recording.duration_s == pytest.approx(3e-9 * PERIOD_NS)
     assert [frame.time_ns for frame in frames] == [START_NS + n * PERIOD_NS for n in (1, 2, 3)]
     for frame in frames:
         assert (frame.stamp_ns, frame.frame_id) == (frame.time_ns, FRAME)

@@ -32,7 +32,7 @@ from service.replay.force import Force, force_of
 from service.replay.foxglove import quaternion_of, scene, voxel_grid
 from service.replay.frames import RecordedFrame
 from service.replay.player import Summary, paced, play
-from service.replay.progress import ProgressLine, line, report
+from service.replay.progress import ProgressLine, bar, line, report
 from service.settings import Settings
 from tests.poses import pose
 from tests.service.box_scene import BoxScene
@@ -216,6 +216,15 @@ def test_a_live_line_is_for_a_terminal_alone():
     want = "    0.1 s  frames 3  answered 2 (5.0/s)  skipped 1  failed 0  p50 30 ms"
     assert screen.getvalue() == f"\r\x1b[K{want}\r\x1b[K"
     assert pipe.getvalue() == ""
+
+
+def test_a_bar_shows_how_much_of_the_recording_is_played(monkeypatch):
+    assert [bar(share) for share in (0.0, 0.49, 1.0, 1.2)] == ["─" * 10, "━━━━──────", "━" * 10, "━" * 10]
+    screen = Screen()
+    monkeypatch.setenv("COLUMNS", "40")
+    ProgressLine(screen, duration_s=0.2)(Summary(sent=3, answered=2, recorded_s=0.1, played_s=0.4))
+    # What would be broken into two lines could not be written over.
+    assert screen.getvalue() == "\r\x1b[K━━━━━─────    0.1 s  frames 3  answered"
 
 
 @pytest.mark.parametrize(
