@@ -182,7 +182,7 @@ REALTIME = FitDeformationConfig(
 
 DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
     "realtime": REALTIME,
-    # Without the cross-entropy a tenth of the divergence's weight is left: at all of it no latent stays active.
+    # A tenth of the divergence's weight, with no cross-entropy beside it: at all of it hardly a latent is active.
     "realtime-lattice": replace(REALTIME, lattice=True, steps=1200, validate_every=200, kl_weight=1e-5),
     "realtime-gan": replace(
         REALTIME,
