@@ -11,8 +11,9 @@ import numpy as np
 
 from service.api import convert
 from service.bench.question import BenchQuestion
-from service.core.arrays import Occupancy, Probability
+from service.core.arrays import Occupancy
 from service.core.condition import Condition
+from service.core.lookup import Inside
 from service.inference.deformation import Prior
 from service.inference.registry import load_models
 from service.pipeline import Pipeline
@@ -85,10 +86,10 @@ def _recorded(models: Any, calls: dict[str, list[Callable[[], object]]]) -> Iter
         setattr(network, name, recorder)
     solve: Callable[..., Prior] = deformation.prior
 
-    def recorded(rest: Occupancy, conditions: Sequence[Condition], smooth: Probability | None = None) -> Prior:
+    def recorded(rest: Occupancy, conditions: Sequence[Condition], inside: Inside | None = None) -> Prior:
         # A body of its own: the last one's factor is kept, but a new frame shows a body that nobody has solved for.
         calls.setdefault("prior", []).append(lambda: solve(rest.copy(), conditions).backward())
-        return solve(rest, conditions, smooth)
+        return solve(rest, conditions, inside)
 
     deformation.prior = recorded
     try:

@@ -1,6 +1,7 @@
 import numpy as np
 
 from service.core.condition import POISSON_RATIO_MAX
+from service.core.lookup import Inside
 from service.inference.bodies import KEPT_BODIES, KEPT_SOLVERS, Bodies
 
 BLOCK = np.zeros((64, 64, 64), bool)
@@ -12,11 +13,11 @@ def bodies() -> Bodies:
 
 
 def test_the_same_array_is_the_same_body() -> None:
-    kept, twin, smooth = bodies(), BLOCK.copy(), BLOCK.astype(np.float32)
+    kept, twin, inside = bodies(), BLOCK.copy(), Inside(BLOCK.astype(np.float32), probable=True)
     body = kept.find(BLOCK, None)
     assert kept.find(BLOCK, None) is body
     assert kept.find(twin, None) is not body
-    assert kept.find(BLOCK, smooth) is not body
+    assert kept.find(BLOCK, inside) is not body
     assert kept.find(BLOCK, None) is body
 
 
