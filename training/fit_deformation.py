@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -94,21 +93,9 @@ def fit_deformation(
         learner.learn(loss)
 
 
-SameT = TypeVar("SameT")
-
-
-@runtime_checkable
-class Symmetric(Protocol):
-    """A batch of a problem that a vertical mirror leaves as it is."""
-
-    def mirrored(self: SameT, axis: int) -> SameT: ...
-    def transposed(self: SameT) -> SameT: ...
-
-
-BatchT = TypeVar("BatchT", bound=Symmetric)
-
-
-def augmented(batch: BatchT, rng: np.random.Generator) -> BatchT:
+def augmented(
+    batch: DeformationBatch | LatticeBatch, rng: np.random.Generator
+) -> DeformationBatch | LatticeBatch:
     """One of the eight symmetries of the square for the whole batch."""
     for axis in (0, 1):
         if rng.random() < 0.5:

@@ -224,10 +224,9 @@ class DeformationBatch:
     def mirrored(self, axis: int) -> DeformationBatch:
         """Mirror image in the plane through the middle of the cube across horizontal axis 0 or 1: still a solution."""
         condition = mirrored_condition(self.condition, axis)
-        fields = [field.flip(2 + axis) for field in self._vector_fields]
-        for field in fields:
-            field[:, axis] *= -1.0
-        displacement, forward, prior_forward, prior_backward = fields
+        displacement, forward, prior_forward, prior_backward = (
+            mirrored_field(field, axis) for field in self._vector_fields
+        )
         return DeformationBatch(
             self.rest.flip(2 + axis), condition, self.deformed.flip(1 + axis), displacement,
             self.coverage.flip(2 + axis), self.peak, forward, self.rest_coverage.flip(2 + axis), prior_forward,
@@ -237,9 +236,7 @@ class DeformationBatch:
     def transposed(self) -> DeformationBatch:
         """Mirror image in the vertical plane x = y; with `mirrored` it makes the quarter turns."""
         condition = transposed_condition(self.condition)
-        displacement, forward, prior_forward, prior_backward = (
-            field[:, [1, 0, 2]].transpose(2, 3) for field in self._vector_fields
-        )
+        displacement, forward, prior_forward, prior_backward = map(transposed_field, self._vector_fields)
         return DeformationBatch(
             self.rest.transpose(2, 3), condition, self.deformed.transpose(1, 2), displacement,
             self.coverage.transpose(2, 3), self.peak, forward, self.rest_coverage.transpose(2, 3), prior_forward,
@@ -262,6 +259,18 @@ def mirrored_condition(condition: Float[Tensor, "b 9"], axis: int) -> Float[Tens
 def transposed_condition(condition: Float[Tensor, "b 9"]) -> Float[Tensor, "b 9"]:
     """Of the mirror image in the plane x = y."""
     return torch.cat([condition[:, [1, 0, 2]], condition[:, [4, 3, 5]], condition[:, 6:]], dim=1)
+
+
+def mirrored_field(field: Float[Tensor, "b 3 x y z"], axis: int) -> Float[Tensor, "b 3 x y z"]:
+    """Vectors of the mirror image across horizontal axis 0 or 1."""
+    mirrored = field.flip(2 + axis)
+    mirrored[:, axis] *= -1.0
+    return mirrored
+
+
+def transposed_field(field: Float[Tensor, "b 3 x y z"]) -> Float[Tensor, "b 3 y x z"]:
+    """Vectors of the mirror image in the plane x = y."""
+    return field[:, [1, 0, 2]].transpose(2, 3)
 
 
 @dataclass(frozen=True)

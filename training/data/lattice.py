@@ -14,7 +14,16 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from service.core.prior_lattice import LATTICE_SIZE
-from training.data.batches import FIELD, DeformationSet, coverage, mirrored_condition, transposed_condition, unpack
+from training.data.batches import (
+    FIELD,
+    DeformationSet,
+    coverage,
+    mirrored_condition,
+    mirrored_field,
+    transposed_condition,
+    transposed_field,
+    unpack,
+)
 from training.data.priors import Priors
 
 LATTICE = (LATTICE_SIZE,) * 3
@@ -97,20 +106,17 @@ class LatticeBatch:
 
     def mirrored(self, axis: int) -> LatticeBatch:
         """As `DeformationBatch.mirrored`."""
-        sign = torch.ones(3)
-        sign[axis] = -1.0
-        forward, prior = (field.flip(2 + axis) * sign.view(3, 1, 1, 1) for field in (self.forward, self.prior_forward))
         return LatticeBatch(
-            self.rest.flip(2 + axis), mirrored_condition(self.condition, axis), self.peak, forward,
-            self.rest_coverage.flip(2 + axis), prior,
+            self.rest.flip(2 + axis), mirrored_condition(self.condition, axis), self.peak,
+            mirrored_field(self.forward, axis), self.rest_coverage.flip(2 + axis),
+            mirrored_field(self.prior_forward, axis),
         )  # fmt: skip
 
     def transposed(self) -> LatticeBatch:
         """As `DeformationBatch.transposed`."""
-        forward, prior = (field[:, [1, 0, 2]].transpose(2, 3) for field in (self.forward, self.prior_forward))
         return LatticeBatch(
-            self.rest.transpose(2, 3), transposed_condition(self.condition), self.peak, forward,
-            self.rest_coverage.transpose(2, 3), prior,
+            self.rest.transpose(2, 3), transposed_condition(self.condition), self.peak, transposed_field(self.forward),
+            self.rest_coverage.transpose(2, 3), transposed_field(self.prior_forward),
         )  # fmt: skip
 
 
