@@ -17,12 +17,13 @@ from service.core.prior_field import FIELD_SIZE
 from service.core.smoothing import smoothed, sure_of
 from service.core.spread import Spread, in_turn
 
-SHARPNESS = 2.5
-"""Power of the odds of a smoothed occupancy that are those of its probability. Of 1, 1.5, 2, 2.5, 3 and 4 the best on
-120 validation samples of `everyday`, whose calibration error is then 0.030 and not 0.110."""
-
 EVEN = 0.48
 """Value that stays as it is: which voxels are in the body does not depend on how sure that is."""
+
+DOUBT, DOUBT_OF_MOTION = 0.09, 3.6
+"""By how much a smoothed occupancy is to be doubted: where nothing moves, and what each edge of the grid that the material
+has come adds to it, in squares, as the error of an answer grows with it. The likeliest on the validation samples of
+`everyday`; docs/runs.md tells what they give."""
 
 CELLS = FIELD_SIZE + 1
 """Cells of the field along each edge of the grid: between neighbouring nodes, and beyond the outermost."""
@@ -57,8 +58,8 @@ def warp(rest: Occupancy, field: Field) -> Probability:
         field: Backward displacement in edges of the grid; at the voxels it is that of `motion`.
 
     Returns:
-        1 inside, 0 outside, in between within a voxel of the surface, see `smoothed` and `SHARPNESS`; where nothing
-        moves, above one half exactly in the body.
+        1 inside, 0 outside, in between within a voxel of the surface, see `smoothed` and `DOUBT`; where nothing moves,
+        above one half exactly in the body.
     """
     return Warp(rest)(field)
 
@@ -75,7 +76,7 @@ class Warp:
     """
 
     def __init__(self, rest: Occupancy, inside: Inside | None = None) -> None:
-        self._sharpen = inside is None or not inside.probable
+        self._probable = inside is not None and inside.probable
         self._sole = np.ascontiguousarray(rest[:, :, 0])
         filled = filled_range(rest)
         self._box: tuple[Voxel, Voxel] | None = None
@@ -95,9 +96,7 @@ class Warp:
             self._kinds = np.zeros(self._values.shape, np.uint8)
             _tell_kinds(self._values, self._kinds)
 
-    def __call__(
-        self, field: Field, spread: Spread = in_turn, result: Probability | None = None
-    ) -> Probability:
+    def __call__(self, field: Field, spread: Spread = in_turn, result: Probability | None = None) -> Probability:
         """Occupancy after one load.
 
         Args:
@@ -117,14 +116,15 @@ class Warp:
 
         def look_up(first: int, end: int) -> None:
             shape, corner = (sx, sy, sz), (x - 2, y - 2, z - 2)
-            _look_up(field, self._sole, values, kinds, shape, corner, tops, first, end, self._sharpen, probability)
+            _look_up(field, self._sole, values, kinds, shape, corner, tops, first, end, self._probable, probability)
 
         spread(look_up, GRID_SIZE)
         return probability
 
 
 _ZERO, _ONE, _EIGHT = (np.float32(number) for number in (0.0, 1.0, 8.0))
-_ODDS = np.float32((EVEN / (1.0 - EVEN)) ** (1.0 - SHARPNESS))
+_BELOW, _ABOVE = np.float32(EVEN), np.float32(1.0 - EVEN)
+_STILL, _MOVED = np.float32((4.0 * DOUBT) ** 2), np.float32((4.0 * DOUBT_OF_MOTION) ** 2)
 _NEXT = np.uintp(1)
 """An index without a sign is not looked at for counting from the end."""
 _EMPTY, _MIXED, _FULL = (np.uint8(kind) for kind in range(3))
@@ -181,12 +181,13 @@ def _edge(voxel: int, beyond: float) -> np.float32:
 @compiled
 def _look_up(
     field: Field, sole: Layer, values: Flat, kinds: Kinds, shape: Voxel, corner: Voxel, tops: Tops,
-    first_x: int, end_x: int, sharpen: bool, probability: Probability,
+    first_x: int, end_x: int, probable: bool, probability: Probability,
 ) -> None:  # fmt: skip
     """Values at y - u(y) for the voxels y below the tops, 0 above; `corner` is the voxel of the first value."""
     coarse, slab, u = scratch()
     share, cells = np.empty((3, GRID_SIZE), np.float32), np.empty(GRID_SIZE, np.int32)
     mixed = np.empty(GRID_SIZE + 1, np.int32)
+    looked_up, moved = np.empty(GRID_SIZE, np.float32), np.empty(GRID_SIZE, np.float32)
     size_y, size_z = np.int32(shape[1]), np.int32(shape[2])
     last_x, last_y, last_z = np.float32(shape[0] - 2), np.float32(shape[1] - 2), np.float32(shape[2] - 2)
     for x in range(first_x, end_x):
@@ -222,16 +223,26 @@ def _look_up(
             for n in range(count):
                 at = np.uintp(mixed[n])
                 cell = np.uintp(cells[at])
-                value = between(values, cell, shape[1], shape[2], share[0, at], share[1, at], share[2, at])
-                probability[x, y, at] = _sharpened(value) if sharpen else value
+                looked_up[n] = between(values, cell, shape[1], shape[2], share[0, at], share[1, at], share[2, at])
+                moved[n] = u[0, at] * u[0, at] + u[1, at] * u[1, at] + u[2, at] * u[2, at]
+            if not probable:
+                for n in range(count):
+                    looked_up[n] = _probability(looked_up[n], moved[n])
+            for n in range(count):
+                probability[x, y, np.uintp(mixed[n])] = looked_up[n]
 
 
 @compiled
-def _sharpened(value: np.float32) -> np.float32:
-    """Probability of a smoothed occupancy: its odds to the power of `SHARPNESS`, 2.5."""
-    outside = max(_ONE - value, _ZERO)
-    inside = _ODDS * value * value * np.sqrt(value)
-    return np.float32(inside / (inside + outside * outside * np.sqrt(outside)))
+def _probability(value: np.float32, moved: np.float32) -> np.float32:
+    """Of a smoothed occupancy v where the material has come by u, `moved` = |u|².
+
+    r = (v − e)/√((v − e)² + (4 v (1 − v))² (a² + b² |u|²)) tells from −1 to 1 how sure it is, e being `EVEN`, a and b
+    the doubts; the probability is e + e r below e, e + (1 − e) r above.
+    """
+    beyond, slack = value - _BELOW, value * (_ONE - value)
+    sure = beyond / np.sqrt(beyond * beyond + slack * slack * (_STILL + _MOVED * moved))
+    probability = _BELOW + sure * (_ABOVE if beyond > _ZERO else _BELOW)
+    return np.float32(min(max(probability, _ZERO), _ONE))
 
 
 @compiled

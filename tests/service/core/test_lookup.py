@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from service.core.lookup import EVEN, SHARPNESS, Inside, Warp, warp
+from service.core.lookup import DOUBT, DOUBT_OF_MOTION, EVEN, Inside, Warp, warp
 from service.core.smoothing import smoothed
 from tests.service.fields import at_voxels, bent
 
@@ -19,12 +19,11 @@ def at(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     return result
 
 
-def sharpened(values: np.ndarray) -> np.ndarray:
-    """Odds to a power, the same where they are those of `EVEN`."""
-    even = EVEN / (1.0 - EVEN)
-    with np.errstate(divide="ignore"):
-        odds = np.clip(values, 0.0, 1.0) / (1.0 - np.clip(values, 0.0, 1.0))
-        return 1.0 - 1.0 / (1.0 + even * (odds / even) ** SHARPNESS)
+def probability(values: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+    """How far from `EVEN`, beside how much there is to doubt: less by much where the body is still, more where not."""
+    doubt = np.hypot(DOUBT, DOUBT_OF_MOTION * np.linalg.norm(displacement, axis=0)) * 4 * values * (1 - values)
+    sure = (values - EVEN) / np.hypot(values - EVEN, doubt)
+    return np.asarray(EVEN + sure * np.where(sure > 0, 1 - EVEN, EVEN))
 
 
 @pytest.mark.parametrize("corner", [(20, 25, 10), (0, 0, 0), (54, 49, 39)])
@@ -36,10 +35,11 @@ def test_warping_looks_the_body_up_where_each_voxel_comes_from(corner: tuple[int
     rest[x + 2 : x + 8, y + 2 : y + 8, z + 2 : z + 20] = True
     field = bent(1)
     smooth = smoothed(rest)
-    expected = at(smooth, np.indices((64, 64, 64)) - 64 * at_voxels(field, rest))
+    displacement = at_voxels(field, rest)
+    expected = at(smooth, np.indices((64, 64, 64)) - 64 * displacement)
     np.testing.assert_allclose(Warp(rest, Inside(smooth, probable=True))(field), expected, atol=1e-4)
     assert (expected > 0).sum() > 2000
-    np.testing.assert_allclose(warp(rest, field), sharpened(expected), atol=4e-4)
+    np.testing.assert_allclose(warp(rest, field), probability(expected, displacement), atol=4e-4)
     np.testing.assert_array_equal(Warp(rest, Inside(smooth, probable=False))(field), warp(rest, field))
     assert not warp(np.zeros_like(rest), field).any()
 
@@ -67,14 +67,33 @@ def test_no_displacement_returns_the_body() -> None:
     rest = np.random.default_rng(2).random((64, 64, 64)) < 0.4
     still = warp(rest, np.zeros((3, 32, 32, 32), np.float32))
     np.testing.assert_array_equal(still > 0.5, rest)
-    np.testing.assert_allclose(still, sharpened(smoothed(rest)), atol=1e-6)
+    np.testing.assert_allclose(still, probability(smoothed(rest), np.zeros((3, 1, 1, 1))), atol=1e-6)
 
 
 def test_how_sure_an_answer_is_does_not_move_its_surface() -> None:
     rest = np.zeros((64, 64, 64), bool)
     rest[20:30, 25:40, 10:35] = True
     field = bent(1)
-    unsure = Warp(rest, Inside(smoothed(rest), probable=True))(field)
-    sure = warp(rest, field)
-    np.testing.assert_array_equal(sure > EVEN, unsure > EVEN)
-    assert ((sure > EVEN) == (sure >= unsure))[(unsure > 0.01) & (unsure < 0.99)].all()
+    given = Warp(rest, Inside(smoothed(rest), probable=True))(field)
+    answer = warp(rest, field)
+    np.testing.assert_array_equal(answer > EVEN, given > EVEN)
+    assert answer.min() == 0.0
+    assert answer.max() == 1.0
+
+
+def test_what_has_come_far_is_less_sure() -> None:
+    """Of two bodies moved by whole voxels, which are looked up alike; sides still at 0 and 1 stay so."""
+    rest = np.zeros((64, 64, 64), bool)
+    rest[20:30, 25:40, 10:35] = True
+    answers = []
+    for voxels in (1, 8):
+        field = np.zeros((3, 32, 32, 32), np.float32)
+        field[0] = voxels / 64
+        answers.append(np.roll(warp(rest, field), -voxels, axis=0)[:, :, 3:])  # above the sole, which stays
+    near, far = answers
+    unsure = (near > 0.0) & (near < 1.0)
+    assert unsure.sum() > 1000
+    nearer = (np.abs(near - EVEN) - np.abs(far - EVEN))[unsure]
+    assert nearer.min() > 0.0
+    assert nearer.mean() > 0.05
+    np.testing.assert_array_equal(far[~unsure], near[~unsure])
