@@ -16,6 +16,7 @@ from jaxtyping import Bool
 
 from service.core.condition import CONDITION_FIELDS
 from training.data.batches import DeformationSet
+from training.data.view_augmentation import ViewAugmentation
 from training.networks.build import DeformationKind, ReconstructionKind
 from training.networks.conditions import ConditionConfig
 from training.networks.critic import CriticConfig
@@ -163,12 +164,14 @@ class FitReconstructionConfig(FitConfig):
         iou_weight: Weight of the soft IoU beside the cross-entropy, which alone is about a tenth of it.
         overrule: Whether voxels seen to be free count as empty whatever the network says, as they do where it is
             served; else it is asked to say so itself.
+        augmentation: How views are changed before they are learned from; None leaves them but for mirror images.
     """
 
     network: ReconstructionKind = field(default_factory=ReconstructionConfig)
     batch: int = 8
     iou_weight: float = 0.1
     overrule: bool = True
+    augmentation: ViewAugmentation | None = None
 
 
 REAL = ConditionConfig(encoding="real")
@@ -203,6 +206,7 @@ DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
 
 RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
     "realtime": FitReconstructionConfig(optimizer=OptimizerConfig(learning_rate=2e-3)),
+    "realtime-augmented": FitReconstructionConfig(augmentation=ViewAugmentation()),
     "realtime-gan": FitReconstructionConfig(
         adversary=AdversaryConfig(
             critic=CriticConfig(given_channels=2, channels=SMALL_CRITIC),

@@ -50,7 +50,11 @@ def fit_reconstruction(data: Path, run: Run, config: FitReconstructionConfig, be
         run, config, parts, Store(data).manifest(), lambda: validate(network, validation, config.validation_samples)
     ):
         network.train()
-        batch = training.batch(step.rng.choice(len(training), config.batch, replace=False))
+        rows = step.rng.choice(len(training), config.batch, replace=False)
+        if config.augmentation is None:
+            batch = training.batch(rows)
+        else:
+            batch = training.augmented_batch(rows, config.augmentation, step.rng)
         if step.rng.random() < 0.5:
             batch = batch.mirrored()
         logits = network(batch.view)

@@ -12,9 +12,11 @@ import torch
 from jaxtyping import Bool, Float, Float16, Float32, Float64, Int, UInt8
 from torch import Tensor
 
+from service.core.grids import unpack_bits
 from training.data.fields import unpack_nodes
 from training.data.priors import BACKWARD, FORWARD, Priors
 from training.data.store import Store, StoreError
+from training.data.view_augmentation import Seen, ViewAugmentation, augmented
 
 GRID = (64, 64, 64)
 FIELD = (32, 32, 32)
@@ -307,6 +309,16 @@ class ViewSet:
     def batch(self, rows: Int[np.ndarray, " b"]) -> ViewBatch:
         view = torch.cat([unpack(self.observed[rows]), unpack(self.free[rows])], dim=1)
         return ViewBatch(view=view, truth=unpack(self.truth[rows])[:, 0])
+
+    def augmented_batch(
+        self, rows: Int[np.ndarray, " b"], config: ViewAugmentation, rng: np.random.Generator
+    ) -> ViewBatch:
+        """The same after each view was changed, see `training.data.view_augmentation`."""
+        kinds = (self.observed, self.free, self.truth)
+        views = [augmented(Seen(*(unpack_bits(bits[row]) for bits in kinds)), config, rng) for row in rows]
+        view = np.stack([np.stack([each.observed, each.free]) for each in views])
+        truth = np.stack([each.truth for each in views])
+        return ViewBatch(view=torch.from_numpy(view).float(), truth=torch.from_numpy(truth).float())
 
 
 @dataclass(frozen=True)
