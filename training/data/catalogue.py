@@ -16,7 +16,7 @@ from training.data.meshes import MeshesConfig
 from training.data.paper import PaperConfig
 from training.data.partial_views import PartialViewsConfig
 from training.data.samples import YOUNG_MAX_PA
-from training.data.views import ViewsConfig
+from training.data.views import ROUND_FOOTED, ViewsConfig
 from training.simulation.families import FAMILIES
 
 CYLINDER_LIKE = ("cylinder", "can", "tube", "bottle", "vase", "cup", "capsule")
@@ -33,6 +33,7 @@ _PAPER_LOADS = EverydayConfig(
     young_modulus_pa=_MATERIALS,
 )  # fmt: skip
 _GENTLE = EverydayConfig(loads=2, fractions=None, peak=(0.008, 0.03))
+_ROUND_FOOTED = ViewsConfig(families=ROUND_FOOTED, undercut=0.75)
 _STRETCH = PaperConfig(young_modulus_pa=(1e9, 1e9, 1), force_n=(2e6, 1), scales=(0.85, 1.2, 8), cells=40)
 
 Draw = Callable[[int], dict[str, np.ndarray]]
@@ -104,6 +105,7 @@ SETS: dict[str, DataSet] = {
     "everyday": DataSet(EverydayConfig(), 2000, "bodies of all families under random pushes, neo-Hookean; the default"),
     "gentle": DataSet(_GENTLE, 4000, "bodies of `everyday`, two gentle linear pushes each: many bodies in little time"),
     "views": DataSet(ViewsConfig(), 4000, "bodies of all families seen by a noisy depth camera"),
+    "round-footed": DataSet(_ROUND_FOOTED, 1500, "views of solid bodies that stand on a part of their width"),
     "bridge-1x400": DataSet(
         PaperConfig(young_modulus_pa=(*_MATERIALS, 400), force_n=(PUSH_N, 1)), 400, "the paper's: 400 E, one ν"
     ),

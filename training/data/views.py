@@ -26,6 +26,7 @@ from training.simulation.families import FAMILIES, sample_shape
 from training.simulation.grid_body import filled, sampled, scaled, tipped
 from training.simulation.sensor import apply_sensor
 from training.simulation.shapes import Shape
+from training.simulation.undercut import stands, undercut
 
 HOLLOW = ("mug", "cup", "bowl", "vase", "tube")
 """Vessels one can look into: their insides and walls are what a view tells least about."""
@@ -35,6 +36,11 @@ DRAWN = (*FAMILIES, *HOLLOW, *HOLLOW, *COMMON)
 """Families to draw from: a name that stands twice is drawn twice as often."""
 TIPPABLE = ("mug", "cup", "bowl", "vase", "bottle", "can", "cylinder", "jug", "carton")
 """Families that are also met lying, or upside down."""
+ROUND_FOOTED = (
+    "superquadric", "blob", "csg", "fruit", "dumbbell", "capsule", "plush", "animal", "duck", "crescent", "rounded_box",
+    "box", "cylinder", "carton", "can", "bottle", "jug",
+)  # fmt: skip
+"""Solid families whose foot may be made smaller: what stands about seldom stands on all of its width."""
 CLUTTER = ("box", "cylinder", "capsule", "superquadric", "blob", "bottle", "jug")
 """What stands about: shapes that are cheap to draw."""
 
@@ -43,6 +49,8 @@ OCCLUDER_TRIES = 8
 THUMBNAIL = 4
 """How many times smaller a picture tells how much an occluder hides."""
 SMALLEST_OBJECT_PX = 200
+UNDERCUT_TRIES = 4
+"""Shares tried, each half of the one before, until a body stands on what is left of its foot."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +64,10 @@ class ViewsConfig:
         thin_hollow: The same of vessels one can look into.
         stretch: Chance that a body is stretched along its axes.
         stretched: Range of each factor, drawn log-uniformly; heights are, and half as much the two widths.
+        families: Names to draw from, all alike.
+        undercut: Chance that a body of `ROUND_FOOTED` is narrower towards the ground.
+        undercut_share: How much on the ground, drawn uniformly.
+        undercut_height: Up to where, in units of what half of its lesser width loses, drawn uniformly.
         tipped: Chance that a body of a family that is met so lies on its side, or else stands upside down.
         size_m: Range of the longest edge of the body's box, drawn log-uniformly.
         clutter: Share of views with another body in them.
@@ -73,6 +85,10 @@ class ViewsConfig:
     thin_hollow: float = 0.65
     stretch: float = 0.5
     stretched: tuple[float, float] = (0.7, 1.4)
+    families: tuple[str, ...] = DRAWN
+    undercut: float = 0.0
+    undercut_share: tuple[float, float] = (0.05, 0.7)
+    undercut_height: tuple[float, float] = (0.5, 2.0)
     tipped: float = 0.2
     size_m: tuple[float, float] = (0.05, 0.40)
     clutter: float = 0.25
@@ -96,11 +112,13 @@ def draw_group(config: ViewsConfig, index: int) -> dict[str, np.ndarray]:
         Dropped: There was no body, or none of its views could be segmented.
     """
     rng = np.random.default_rng(np.random.SeedSequence((config.seed, index)))
-    family = DRAWN[rng.integers(len(DRAWN))]
+    family = config.families[rng.integers(len(config.families))]
     thin = bool(rng.random() < (config.thin_hollow if family in HOLLOW else config.thin))
     pose = int(rng.integers(1, 3)) if family in TIPPABLE and rng.random() < config.tipped else 0
     try:
         body = _sized(_stretched(sample_shape(family, rng, thin), config, rng), pose, config, rng)
+        if family in ROUND_FOOTED and config.undercut > 0.0 and rng.random() < config.undercut:
+            body = _undercut(body, config, rng)
     except (RuntimeError, ValueError) as error:  # none stood in as many tries as it is given, or its walls are lost
         raise Dropped("no_shape") from error
     rows: list[tuple[VoxelView, Occupancy, float]] = []
@@ -135,6 +153,19 @@ def _sized(shape: Shape, pose: int, config: ViewsConfig, rng: np.random.Generato
     """The body sampled on a grid, in its pose and size, on z = 0 about the z axis."""
     grid = tipped(sampled(shape), pose)
     return scaled(grid, float(np.exp(rng.uniform(*np.log(config.size_m)))) / _longest(grid))
+
+
+def _undercut(body: DistanceGrid, config: ViewsConfig, rng: np.random.Generator) -> DistanceGrid:
+    """The body narrower towards the ground as far as it still stands."""
+    (left, right), (front, back), (low, high) = body.bounds
+    half_m = min(right - left, back - front) / 2
+    share, height = rng.uniform(*config.undercut_share), rng.uniform(*config.undercut_height)
+    for _ in range(UNDERCUT_TRIES):
+        cut = undercut(body, share, min(height * share * half_m, high - low))
+        if stands(cut, body):
+            return cut
+        share /= 2
+    return body
 
 
 def _longest(grid: DistanceGrid) -> float:

@@ -55,6 +55,18 @@ def test_a_group_is_drawn_from_its_seed_alone() -> None:
         assert first[key].tobytes() == second[key].tobytes(), key
 
 
+def test_a_round_footed_body_stands_on_a_part_of_its_width() -> None:
+    families = ("superquadric", "can")
+    config = dataclasses.replace(CONFIG, seed=4, families=families, stretch=0.0, undercut_share=(0.5, 0.5))
+    shares = []
+    for chance in (0.0, 1.0):
+        truth = unpack_bits(draw_group(dataclasses.replace(config, undercut=chance), 0)["truth"][0])
+        layers = truth.sum(axis=(0, 1))
+        shares.append(layers[0] / layers.max())
+    # half as wide both ways on the ground itself, a little more in the middle of the lowest voxels
+    assert 0.2 * shares[0] < shares[1] < 0.5 * shares[0]
+
+
 def test_one_view_does_not_depend_on_how_many_are_drawn() -> None:
     alone = draw_group(dataclasses.replace(CONFIG, seed=1, views=1), 0)
     assert alone["sample"][0, 0] == drawn(1)["sample"][0, 0] == 0
