@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("torch", "onnxruntime", "fastapi", "grpc", "scipy", "matplotlib", "pydantic", "training")
+HEAVY = ("torch", "onnxruntime", "fastapi", "grpc", "scipy", "matplotlib", "pydantic", "trimesh", "octomap", "training")
 DYNAMIC_MODULES = ("importlib", "runpy", "imp", "pkgutil")
 READS_FILES_ONLY = ("importlib.metadata", "importlib.resources")
 DYNAMIC_CALLS = ("__import__", "exec", "eval", "import_module")

@@ -118,7 +118,7 @@ def load_mesh(path: Path) -> trimesh.Trimesh:
             open_edges=open_edges,
         )
     if not mesh.is_winding_consistent:
-        trimesh.repair.fix_winding(mesh)  # type: ignore[no-untyped-call]
+        trimesh.repair.fix_winding(mesh)
     if mesh.volume < 0:
         warnings.warn(f"{path.name} is inside out: its faces were turned", stacklevel=2)
         mesh.invert()

@@ -27,7 +27,7 @@ class Nearest:
 def nearest_on_surface(triangles_m: Triangles, point_m: Vector3) -> Nearest:
     """Compare all triangles: exact, and quick enough for a handful of points."""
     points_m = np.broadcast_to(point_m, (len(triangles_m), 3))
-    feet = trimesh.triangles.closest_point(triangles_m, points_m)  # type: ignore[no-untyped-call]
+    feet = trimesh.triangles.closest_point(triangles_m, points_m)
     distance_m = np.linalg.norm(feet - point_m, axis=1)
     best = int(distance_m.argmin())
     return Nearest(np.asarray(feet[best], np.float64), float(distance_m[best]))

@@ -1,15 +1,13 @@
-"""Binvox files: run lengths of voxels with a scale and an offset, no rotation.
+"""Binvox files: run lengths of voxels with a scale and an offset, no rotation. trimesh writes them.
 
 Source: Min, binvox voxel file format, https://www.patrickmin.com/binvox/binvox.html: the index runs y first, then z,
-then x; pairs of bytes (value, count) follow the header. `scale` is the edge of the whole cube, `translate` its corner.
+then x. `scale` is the edge of the whole cube, `translate` its corner.
 """
 
 from __future__ import annotations
 
 import numpy as np
 from jaxtyping import Bool
-
-_LONGEST_RUN = 255
 
 
 def encode_binvox(
@@ -22,15 +20,13 @@ def encode_binvox(
         edge_m: Edge of the whole cube.
         corner_m: Its lowest corner.
     """
+    # Imported where it is used: half a second that only those wait who write such a file.
+    from trimesh.exchange.binvox import binvox_bytes
+    from trimesh.voxel.runlength import dense_to_rle
+
     values = occupancy.transpose(0, 2, 1).astype(np.uint8).ravel()
-    starts = np.flatnonzero(np.diff(values, prepend=2))
-    lengths = np.diff(starts, append=len(values))
-    # A run longer than a byte can say is several.
-    pieces = -(-lengths // _LONGEST_RUN)
-    counts = np.full(int(pieces.sum()), _LONGEST_RUN)
-    counts[np.cumsum(pieces) - 1] = lengths - (pieces - 1) * _LONGEST_RUN
-    runs = np.column_stack([np.repeat(values[starts], pieces), counts]).astype(np.uint8)
-    dim = " ".join(str(number) for number in occupancy.shape)
-    translate = " ".join(repr(float(number)) for number in corner_m)
-    header = f"#binvox 1\ndim {dim}\ntranslate {translate}\nscale {float(edge_m)!r}\ndata\n"
-    return header.encode("ascii") + runs.tobytes()
+    runs = dense_to_rle(values, np.uint8).reshape(-1, 2)
+    # A run of a multiple of 255 ends with one of no voxels, which the format does not know.
+    runs = runs[runs[:, 1] > 0]
+    # Not trimesh's `export_binvox`: it puts the centres of the first and last voxels onto the corners of the cube.
+    return bytes(binvox_bytes(runs, occupancy.shape, corner_m, edge_m))

@@ -1,7 +1,4 @@
-"""Binary PLY: a surface with how far each of its vertices has moved.
-
-Source: Turk, The PLY Polygon File Format (1994).
-"""
+"""Binary PLY: a surface with how far each of its vertices has moved. trimesh writes it (plyfile is under the GPL)."""
 
 from __future__ import annotations
 
@@ -10,22 +7,18 @@ import numpy as np
 from service.core.arrays import Points
 from service.core.surface_mesh import Faces
 
+_FRAME = b"comment metres, camera frame: x right, y down, z forward\n"
+
 
 def encode_ply(vertices_m: Points, faces: Faces, displacement_m: Points | None = None) -> bytes:
-    """A little-endian PLY file: vertices `x y z`, with a field also `dx dy dz`, all metres; triangles."""
-    names = ["x", "y", "z"]
-    columns = [np.asarray(vertices_m, np.float32)]
+    """A little-endian PLY file: vertices `x y z`, with a field also `dx dy dz`, all float32 metres; triangles."""
+    # Imported where it is used: half a second that only those wait who write such a file.
+    from trimesh import Trimesh
+    from trimesh.exchange.ply import export_ply
+
+    mesh = Trimesh(vertices_m, faces, process=False)
     if displacement_m is not None:
-        names += ["dx", "dy", "dz"]
-        columns.append(np.asarray(displacement_m, np.float32))
-    properties = "".join(f"property float {name}\n" for name in names)
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment metres, camera frame: x right, y down, z forward\n"
-        f"element vertex {len(vertices_m)}\n{properties}"
-        f"element face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    triangles = np.empty(len(faces), np.dtype([("count", "u1"), ("indices", "<i4", (3,))]))
-    triangles["count"] = 3
-    triangles["indices"] = faces
-    vertices = np.ascontiguousarray(np.hstack(columns), "<f4")
-    return header.encode("ascii") + vertices.tobytes() + triangles.tobytes()
+        columns = np.asarray(displacement_m, np.float32).T
+        mesh.vertex_attributes.update(zip(("dx", "dy", "dz"), columns, strict=True))
+    # trimesh takes no comments.
+    return bytes(export_ply(mesh, vertex_normal=False)).replace(b"element vertex", _FRAME + b"element vertex", 1)
