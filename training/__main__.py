@@ -1,6 +1,6 @@
 """The command line of everything that makes models.
 
-`physnet-train simulate | dataset | solve | fit | evaluate | compare | export`.
+`physnet-train simulate | dataset | solve | fit | evaluate | export`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import os
 import sys
 from pathlib import Path
 
-from training.commands.compare import add_compare
 from training.commands.dataset import add_dataset
+from training.commands.evaluate import add_evaluate
 from training.commands.simulate import add_simulate
 from training.commands.solve import add_solve
 
@@ -38,12 +38,6 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     fit.set_defaults(run=_fit)
 
-    evaluate = commands.add_parser("evaluate", help="score a run on bodies it has never seen")
-    evaluate.add_argument("--run", dest="run_folder", type=Path, required=True)
-    evaluate.add_argument("--data", type=Path, required=True)
-    evaluate.add_argument("--split", choices=["validation", "test"], default="test")
-    evaluate.set_defaults(run=_evaluate)
-
     export = commands.add_parser("export", help="evaluate a run and write it as an ONNX graph with manifest and card")
     export.add_argument("--run", dest="run_folder", type=Path, required=True)
     export.add_argument("--data", type=Path, required=True)
@@ -54,7 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     export.add_argument("--note", default="", help="a sentence for its card")
     export.set_defaults(run=_export)
 
-    add_compare(commands)
+    add_evaluate(commands)
     add_simulate(commands)
     add_dataset(commands)
     add_solve(commands)
@@ -92,19 +86,6 @@ def _fit(options: argparse.Namespace) -> int:
     except KeyboardInterrupt:
         print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
         return 130
-    return 0
-
-
-def _evaluate(options: argparse.Namespace) -> int:
-    from training.data.store import StoreError
-    from training.evaluate import evaluate
-
-    try:
-        threshold, figures = evaluate(options.run_folder / "checkpoint.pt", options.data, options.split)
-    except (StoreError, FileNotFoundError) as error:
-        print(f"physnet-train: {error}", file=sys.stderr)
-        return 1
-    print(json.dumps({"threshold": threshold, **figures}, indent=1))
     return 0
 
 

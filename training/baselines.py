@@ -48,7 +48,7 @@ class NearestNeighbours:
         condition: Of the training samples.
         deformed: Bits of their answers.
         scale: Distances are measured in condition·scale.
-        count: How many neighbours are interpolated; 1 copies the nearest answer.
+        count: How many neighbours are interpolated, if there are as many; 1 copies the nearest answer.
 
     Source: Shepard, ACM National Conference 1968, with power 1.
     """
@@ -63,7 +63,7 @@ class NearestNeighbours:
     ) -> tuple[Int[np.ndarray, "b k"], Float64[np.ndarray, "b k"]]:
         """Rows of the neighbours and their weights, which sum to one."""
         tree = spatial.cKDTree((self.condition * self.scale).astype(np.float64))
-        distance, row = tree.query((condition * self.scale).astype(np.float64), k=self.count)
+        distance, row = tree.query((condition * self.scale).astype(np.float64), k=min(self.count, len(self.condition)))
         distance = np.asarray(distance).reshape(len(condition), -1)  # one neighbour comes without an axis
         row = np.asarray(row).reshape(len(condition), -1)
         weight = 1.0 / np.maximum(distance, EXACT)

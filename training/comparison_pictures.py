@@ -93,7 +93,7 @@ def worst(found: dict[str, Any], rival: Contender, samples: DeformationSet) -> b
     for row in found["worst"]:
         batch = samples.batch(np.array([row["row"]]))
         rest, truth = batch.rest[0, 0].numpy() > 0.5, batch.deformed[0].numpy() > 0.5
-        answer = rival.answer(batch)[0] > rival.threshold
+        answer = rival.answer(batch)[0][0] > rival.threshold
         truths.append(captioned(draw([(rest, REST), (truth, DEFORMED)]), row["family"], "true"))
         answers.append(captioned(draw([(rest, REST), (answer, DEFORMED)]), rival.name, f"IoU {row['iou']:.2f}"))
     return cv2.imencode(".png", arranged([*truths, *answers], columns=len(truths)))[1].tobytes()

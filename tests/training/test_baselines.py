@@ -35,6 +35,11 @@ def test_neighbours_weigh_by_inverse_distance() -> None:
     assert np.unique(between[tiny.box(1) & ~tiny.box(0)]).tolist() == [0.25]
 
 
+def test_where_less_is_known_all_of_it_counts() -> None:
+    place = np.array([[0.25, 0.0]])
+    np.testing.assert_array_equal(neighbours(9)(place), neighbours(3)(place))
+
+
 def test_a_known_condition_gives_its_own_answer() -> None:
     for count in (1, 2):
         answer = neighbours(count)(np.array([[1.0, 0.0]]))[0]
