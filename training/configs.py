@@ -206,7 +206,6 @@ DEFORMATION_PRESETS: dict[str, FitDeformationConfig] = {
 
 RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
     "realtime": FitReconstructionConfig(optimizer=OptimizerConfig(learning_rate=2e-3)),
-    "realtime-augmented": FitReconstructionConfig(augmentation=ViewAugmentation()),
     "realtime-gan": FitReconstructionConfig(
         adversary=AdversaryConfig(
             critic=CriticConfig(given_channels=2, channels=SMALL_CRITIC),
@@ -217,6 +216,7 @@ RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
         network=RecGanConfig(), optimizer=PAPER_OPTIMIZER, alpha=0.85, batch=8, iou_weight=0.0, overrule=False,
         adversary=AdversaryConfig(critic=CriticConfig(given_channels=2)),
     ),
+    "realtime-augmented": FitReconstructionConfig(augmentation=ViewAugmentation()),
 }  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from tests.training import tiny
 from training.configs import FitDeformationConfig, FitReconstructionConfig, OptimizerConfig
 from training.data.batches import DeformationSet
 from training.data.store import Store, StoreError, code_version
+from training.data.view_augmentation import ViewAugmentation
 from training.fit_deformation import augmented, fit_deformation, sample_voxels, step_losses, validate
 from training.fit_reconstruction import fit_reconstruction
 from training.networks.conditions import ConditionConfig
@@ -55,6 +56,7 @@ CONFIGS: dict[str, FitDeformationConfig | FitReconstructionConfig] = {
     "deformation against a critic": replace(SHORT, adversary=tiny.adversary(ConditionConfig())),
     "the paper's deformation": replace(SHORT, network=tiny.PHYSNET, adversary=tiny.adversary(REAL)),
     "reconstruction": tiny.FIT_RECONSTRUCTION,
+    "reconstruction of changed views": replace(SHORT_VIEWS, augmentation=ViewAugmentation()),
     "3D-RecGAN": replace(SHORT_VIEWS, network=tiny.RECGAN, adversary=tiny.adversary(None, given_channels=2)),
 }
 

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64
+from jaxtyping import Float64
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Vector3
 from service.core.compiled import compiled
@@ -73,7 +73,7 @@ def augmented(seen: Seen, config: ViewAugmentation, rng: np.random.Generator) ->
         return seen
     given = seen
     if rng.random() < config.holed:
-        seen = _holed(seen, config.hole_voxels, rng)
+        seen = holed(seen, config.hole_voxels, rng)
     if rng.random() < config.mapped:
         seen = mapped(seen, draw_map(config, rng), given.observed)
     observed, free = seen.observed, seen.free
@@ -82,7 +82,7 @@ def augmented(seen: Seen, config: ViewAugmentation, rng: np.random.Generator) ->
     if rng.random() < config.thinned:
         observed = observed & (rng.random(observed.shape, np.float32) >= config.thinning * rng.random())
     if rng.random() < config.strayed:
-        observed = observed | _strays(observed, int(rng.integers(1, config.strays + 1)), rng)
+        observed = observed | strays(observed, int(rng.integers(1, config.strays + 1)), rng)
     return Seen(observed, free & ~observed, seen.truth)
 
 
@@ -107,24 +107,35 @@ def mapped(seen: Seen, linear: Matrix3, placed_as: Occupancy) -> Seen:
     Args:
         seen: The view.
         linear: Of places in voxels from the corner of the grid.
-        placed_as: Observed voxels of the view that the grid was laid around. The image begins along x where these
-            begin, has its middle along y where they have it, and is as large: unlike voxels laid around anew, these
-            lie where all of the frame's points put them.
+        placed_as: As in `placement`.
     """
-    before, after = extent(placed_as, np.eye(3)), extent(seen.observed, linear)
-    zoom = min(float((before[:, 1] - before[:, 0]).max() / (after[:, 1] - after[:, 0]).max()), LARGEST_ZOOM)
-    offset = np.array([before[0, 0] - zoom * after[0, 0], (before[1] - zoom * after[1]).mean(), 0.0])
-    source_from_image = np.linalg.inv(zoom * linear)
+    zoomed, offset = placement(seen.observed, linear, placed_as)
+    view_from_image = np.linalg.inv(zoomed)
     observed, free, truth = (np.empty((GRID_SIZE,) * 3, np.bool_) for _ in range(3))
-    first = source_from_image @ (0.5 - offset)
-    _look_up(seen.observed, seen.free, seen.truth, source_from_image, first, observed, free, truth)
+    first = view_from_image @ (0.5 - offset)
+    _look_up(seen.observed, seen.free, seen.truth, view_from_image, first, observed, free, truth)
     return Seen(observed, free, truth)
+
+
+def placement(observed: Occupancy, linear: Matrix3, placed_as: Occupancy) -> tuple[Matrix3, Vector3]:
+    """Where the image comes to lie: the map times a zoom, and what is added to that.
+
+    Args:
+        observed: Voxels that are mapped.
+        linear: Of places in voxels from the corner of the grid.
+        placed_as: Voxels that the grid was laid around. The image begins along x where these begin, has its middle
+            along y where they have it, and is as large. To lay the grid around the image alone would move it: the
+            service lays it around points, which lie closer where the camera is near.
+    """
+    before, after = extent(placed_as, np.eye(3)), extent(observed, linear)
+    zoom = min(float((before[:, 1] - before[:, 0]).max() / (after[:, 1] - after[:, 0]).max()), LARGEST_ZOOM)
+    return zoom * linear, np.array([before[0, 0] - zoom * after[0, 0], (before[1] - zoom * after[1]).mean(), 0.0])
 
 
 def extent(observed: Occupancy, linear: Matrix3) -> Float64[np.ndarray, "axis=3 low_high=2"]:
     """Where the images of the observed voxels begin and end, without outliers; along z they begin on the floor."""
     places = (np.argwhere(observed) + 0.5) @ linear.T
-    sides = np.percentile(places, (OUTLIER_PERCENTILE, 100 - OUTLIER_PERCENTILE), axis=0).T
+    sides: Float64[np.ndarray, "axis=3 low_high=2"] = np.percentile(places, (OUTLIER_PERCENTILE, 100 - OUTLIER_PERCENTILE), axis=0).T
     sides[2, 0] = 0.0
     sides[:, 1] = np.maximum(sides[:, 1], sides[:, 0] + 1.0)
     return sides
@@ -150,7 +161,7 @@ def _look_up(
                 free_there[i, j, k] = free[a, b, c]
 
 
-def _holed(seen: Seen, radius: float, rng: np.random.Generator) -> Seen:
+def holed(seen: Seen, radius: float, rng: np.random.Generator) -> Seen:
     """Nothing is read in a cylinder through an observed voxel, along one of the directions that cameras look in."""
     places = np.argwhere(seen.observed)
     through = places[rng.integers(len(places))]
@@ -172,7 +183,7 @@ def cylinder(through: Vector3, axis: Vector3, radius: float) -> Occupancy:
     return np.asarray(x * x + y * y + z * z - along * along < radius * radius, np.bool_)
 
 
-def shadow(observed: Occupancy, width: int) -> Bool[np.ndarray, "x=64 y=64 z=64"]:
+def shadow(observed: Occupancy, width: int) -> Occupancy:
     """Voxels within `width` of an observed one along y, z and, behind it, x: what is before it was crossed by rays."""
     reached = observed
     for axis, sides in ((0, (1,)), (1, (1, -1)), (2, (1, -1))):
@@ -188,14 +199,14 @@ def shadow(observed: Occupancy, width: int) -> Bool[np.ndarray, "x=64 y=64 z=64"
     return reached
 
 
-def _strays(observed: Occupancy, count: int, rng: np.random.Generator) -> Occupancy:
+def strays(observed: Occupancy, count: int, rng: np.random.Generator) -> Occupancy:
     """Single voxels beside the surface, and farther behind it."""
-    strays = np.zeros_like(observed)
+    strayed = np.zeros_like(observed)
     places = np.argwhere(observed)
     if len(places):
         aside = rng.normal(0, (0.0, 3.0, 3.0), (count, 3))
         aside[:, 0] = rng.exponential(6.0, count)
         chosen = np.rint(places[rng.integers(len(places), size=count)] + aside).astype(int)
         chosen = chosen[((chosen >= 0) & (chosen < GRID_SIZE)).all(axis=1)]
-        strays[tuple(chosen.T)] = True
-    return strays
+        strayed[tuple(chosen.T)] = True
+    return strayed

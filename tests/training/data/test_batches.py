@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from service.core.grids import unpack_bits
 from tests.training import tiny
 from training.data.batches import DeformationBatch, DeformationSet, ViewSet, split_of, unpack
 from training.data.fields import unpack_fields, unpack_nodes
+from training.data.view_augmentation import ViewAugmentation
 from training.networks.conditions import condition_planes
 
 
@@ -190,6 +192,19 @@ def test_views_are_batched_in_the_order_observed_free(views: Path) -> None:
     for channel, key in enumerate(("observed", "free")):
         assert torch.equal(batch.view[0, channel], unpack(raw[key][:1])[0, 0])
     np.testing.assert_array_equal(batch.truth[0].numpy() > 0.5, tiny.box(2))
+
+
+def test_changed_views_are_batched_like_others_and_only_as_far_as_asked(views: Path) -> None:
+    samples, rows = ViewSet.load(views, "train"), np.array([2, 0])
+    nothing = ViewAugmentation(mapped=0.0, holed=0.0, shadowed=0.0, strayed=0.0, thinned=0.0)
+    plain = samples.batch(rows)
+    same = samples.augmented_batch(rows, nothing, np.random.default_rng(0))
+    assert torch.equal(same.view, plain.view)
+    assert torch.equal(same.truth, plain.truth)
+    changed = samples.augmented_batch(rows, replace(nothing, mapped=1.0), np.random.default_rng(0))
+    assert changed.view.dtype == plain.view.dtype
+    for i in range(2):
+        assert not torch.equal(changed.truth[i], plain.truth[i])
 
 
 def test_a_view_is_mirrored_left_to_right_only(views: Path) -> None:
