@@ -135,7 +135,8 @@ def placement(observed: Occupancy, linear: Matrix3, placed_as: Occupancy) -> tup
 def extent(observed: Occupancy, linear: Matrix3) -> Float64[np.ndarray, "axis=3 low_high=2"]:
     """Where the images of the observed voxels begin and end, without outliers; along z they begin on the floor."""
     places = (np.argwhere(observed) + 0.5) @ linear.T
-    sides: Float64[np.ndarray, "axis=3 low_high=2"] = np.percentile(places, (OUTLIER_PERCENTILE, 100 - OUTLIER_PERCENTILE), axis=0).T
+    sides: Float64[np.ndarray, "axis=3 low_high=2"]
+    sides = np.percentile(places, (OUTLIER_PERCENTILE, 100 - OUTLIER_PERCENTILE), axis=0).T
     sides[2, 0] = 0.0
     sides[:, 1] = np.maximum(sides[:, 1], sides[:, 0] + 1.0)
     return sides
