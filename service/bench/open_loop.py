@@ -63,26 +63,35 @@ class Measured:
         return {stage: float(np.median(times)) for stage, times in self.stages_ms.items()}
 
 
-async def open_loop(targets: Sequence[Target], rate_hz: float, duration_s: float) -> Measured:
+def questions_each(rate_hz: float, duration_s: float) -> int:
+    """Questions that each client asks."""
+    return max(1, round(duration_s * rate_hz))
+
+
+async def open_loop(
+    targets: Sequence[Target], rate_hz: float, duration_s: float, measured: Measured | None = None
+) -> Measured:
     """Ask `rate_hz` questions a second of each target for a time.
 
     Args:
         targets: Clients; their questions are due at even distances from each other's.
         rate_hz: Of each client, positive.
         duration_s: How long, positive.
+        measured: Takes everything in as it comes, for another thread to look at.
     """
     for target in targets:
         await target.open()
         for _ in range(WARM_UP):
             await target.ask()
-    measured = Measured(clients=len(targets))
+    measured = Measured() if measured is None else measured
+    measured.clients = len(targets)
     loop = asyncio.get_running_loop()
     due_now: asyncio.Queue[tuple[int, float] | None] = asyncio.Queue()
     began = time.perf_counter() + 0.1
     due = sorted(
         (began + (index + client / len(targets)) / rate_hz, client)
         for client in range(len(targets))
-        for index in range(max(1, round(duration_s * rate_hz)))
+        for index in range(questions_each(rate_hz, duration_s))
     )
 
     def pace() -> None:

@@ -65,6 +65,15 @@ def run_document(measured: Measured, service: RunningService | None = None) -> d
     return plain
 
 
+def line(measured: Measured, questions: int) -> str:
+    """Where a run stands: `  asked 61 of 300  answered 60  skipped 1  failed 0  p50 23 ms`."""
+    outcomes = measured.outcomes.copy()  # the run goes on meanwhile
+    answered, skipped, asked = outcomes[OK], outcomes[SKIPPED], outcomes.total()
+    p50 = f"  p50 {measured.latency.percentile(50.0):.0f} ms" if answered else ""
+    counts = f"answered {answered}  skipped {skipped}  failed {asked - answered - skipped}"
+    return f"  asked {asked} of {questions}  {counts}{p50}"
+
+
 def percentiles(histogram: Histogram) -> dict[str, float]:
     """`p50`, `p90`, `p99`, `p99.9`, `max` and `mean`, ms."""
     found = {f"p{percent:g}": histogram.percentile(percent) for percent in PERCENTILES}

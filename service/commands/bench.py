@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from service.commands.exits import EPILOG, FAILED, OK, UsageError
 from service.commands.options import FILE, complete_with, models_options, settings_of
+from service.commands.terminal import Terminal, bar
 
 if TYPE_CHECKING:
     from service.bench.process import RunningService
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 _TARGETS = ("grpc-stream", "grpc", "http-multipart", "http-json")
 GRAPH_REPEATS = 40
+
+LOOK_S = 0.5
+"""Between two looks at how far a run is."""
 
 
 def add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -51,7 +55,7 @@ def add_bench(commands: argparse._SubParsersAction[argparse.ArgumentParser]) -> 
 
 def _run(given: argparse.Namespace) -> int:
     from service.bench import report
-    from service.bench.open_loop import open_loop
+    from service.bench.open_loop import Measured, open_loop, questions_each
     from service.bench.picture import picture
     from service.bench.process import ServiceFailed
     from service.bench.targets import make_target
@@ -67,13 +71,24 @@ def _run(given: argparse.Namespace) -> int:
     settings = settings_of(given)
     question = _question(given)
     document: dict[str, Any] = {"command": _asked(given), "machine": report.machine()}
+    terminal, measured = Terminal(), Measured()
+    asked = given.clients * questions_each(given.rate, given.duration)
+
+    def tell() -> str:
+        return bar(len(measured.points) / asked) + report.line(measured, asked)
+
     try:
-        with _service(given, settings) as service:
+        with contextlib.ExitStack() as stack:
+            with terminal.working("starting a service"):
+                service = stack.enter_context(_service(given, settings))
             targets = [make_target(given.target, service.http, service.grpc, question) for _ in range(given.clients)]
-            measured = asyncio.run(open_loop(targets, given.rate, given.duration))
+            # By another thread and seldom: what is measured here must not wait for what is shown.
+            with terminal.watching(tell, LOOK_S):
+                asyncio.run(open_loop(targets, given.rate, given.duration, measured))
             document |= report.run_document(measured, service if service.process_id else None)
             if given.against_graphs:
-                document["graphs"] = against_graphs(given.target, service, settings, question)
+                with terminal.working("asking one after the other, and the networks alone"):
+                    document["graphs"] = against_graphs(given.target, service, settings, question)
     except ServiceFailed as error:
         raise OSError(str(error)) from None
     print("\n".join(report.table(document)))

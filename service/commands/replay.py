@@ -21,13 +21,13 @@ from service.commands.options import (
     output_options,
     settings_of,
 )
-from service.commands.terminal import Terminal
+from service.commands.terminal import Terminal, bar
 
 if TYPE_CHECKING:
     from service.client.question import Question
     from service.client.stream import FrameStream
     from service.replay.frames import RecordedFrame
-    from service.replay.player import Played
+    from service.replay.player import Played, Summary
 
 _KEEP_ALL = sys.maxsize
 
@@ -70,7 +70,7 @@ def _run(given: argparse.Namespace) -> int:
     try:
         from service.replay.frames import find_topics, recorded_frames
         from service.replay.player import paced, play
-        from service.replay.progress import ProgressLine, document, report
+        from service.replay.progress import document, line, report
         from service.replay.recording import RecordingError, open_recording
     except ModuleNotFoundError as missing:
         raise ModuleNotFoundError(f"{missing.name} is missing: pip install 'physnet[replay]'") from missing
@@ -89,13 +89,19 @@ def _run(given: argparse.Namespace) -> int:
                 frames = _first(frames, given.limit)
             stream = stack.enter_context(_stream(given, stack, terminal))
             writers = _writers(given, stack)
-            # Of the first N frames nobody knows how long they take.
-            progress = ProgressLine(sys.stderr, recording.duration_s if given.limit is None else 0.0)
+            progress = terminal.progress()
             stack.callback(progress.end)
+            # Of the first N frames nobody knows how long they take.
+            duration_s = recording.duration_s if given.limit is None else 0.0
+
+            def tell(summary: Summary) -> None:
+                share = bar(summary.recorded_s / duration_s) if duration_s > 0.0 else ""
+                progress.show(lambda: share + line(summary))
+
             every = given.rate == 0.0
             summary = play(
                 frames if every else paced(frames, given.rate), lambda frame: _question(given, frame), stream,
-                lambda played: _write(played, writers), progress, every,
+                lambda played: _write(played, writers), tell, every,
             )  # fmt: skip
     except RecordingError as error:
         raise UsageError(str(error)) from None

@@ -1,20 +1,28 @@
-"""What a person sees: colours where they are wanted, tables, and a sign of life while something takes long."""
+"""What a person sees: colours where they are wanted, tables, and how far something is that takes long."""
 
 from __future__ import annotations
 
+import itertools
+import math
 import os
 import shutil
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from typing import Protocol, runtime_checkable
 
 _CODES = {"bold": "1", "dim": "2", "red": "31", "green": "32", "yellow": "33", "cyan": "36"}
 _FRAMES = "⠋⠙⠹⠸⠼⠴⠦⠧⠇⠏"
 _QUIET_S = 0.3
 """What is done sooner than this needs no sign of life."""
+
+PERIOD_S = 0.1
+"""Between two lines of progress: faster than that nobody reads."""
+
+BAR = 10
+"""Characters of a bar."""
 
 
 @runtime_checkable
@@ -87,32 +95,79 @@ class Terminal:
             line = indent + "  ".join(cells).rstrip()
             self.print(line if len(line) <= room else line[: room - 1] + "…")
 
-    @contextmanager
-    def working(self, on: str) -> Iterator[None]:
+    def progress(self) -> ProgressLine:
+        """A line that whoever works tells how far it is."""
+        return ProgressLine(self._err)
+
+    def working(self, on: str) -> AbstractContextManager[None]:
         """Say what takes long, and for how long already, on a terminal; nothing in a pipe."""
+        began, frames = time.monotonic(), itertools.cycle(_FRAMES)
+        return self.watching(lambda: f"{next(frames)} {on} {time.monotonic() - began:.1f} s ")
+
+    @contextmanager
+    def watching(self, tell: Callable[[], str], period_s: float = PERIOD_S) -> Iterator[None]:
+        """Look from beside how far something is, on a terminal; nothing in a pipe.
+
+        Args:
+            tell: The line; called in a thread of its own.
+            period_s: Between two looks.
+        """
         if not self._err.isatty():
             yield
             return
         done = threading.Event()
-        turning = threading.Thread(target=self._turn, args=(on, done), daemon=True)
-        turning.start()
+        looking = threading.Thread(target=self._look, args=(tell, period_s, done), daemon=True)
+        looking.start()
         try:
             yield
         finally:
             done.set()
-            turning.join()
+            looking.join()
 
-    def _turn(self, on: str, done: threading.Event) -> None:
-        began = time.monotonic()
+    def _look(self, tell: Callable[[], str], period_s: float, done: threading.Event) -> None:
+        line = ProgressLine(self._err, period_s=0.0)  # it is this loop that waits
         if done.wait(_QUIET_S):
             return
-        frame = 0
-        while not done.wait(0.1):
-            frame += 1
-            self._err.write(f"\r{_FRAMES[frame % len(_FRAMES)]} {on} {time.monotonic() - began:.1f} s ")
-            self._err.flush()
-        self._err.write("\r\x1b[K")
-        self._err.flush()
+        while not done.wait(period_s):
+            line.show(tell)
+        line.end()
+
+
+class ProgressLine:
+    """One line that is written over itself, on a terminal; nothing elsewhere.
+
+    Args:
+        out: Where it is written.
+        period_s: Between two lines; those between are left out.
+    """
+
+    def __init__(self, out: Stream, period_s: float = PERIOD_S) -> None:
+        self._out = out
+        self._period_s = period_s
+        self._shown = out.isatty()
+        self._last = -math.inf
+
+    def show(self, tell: Callable[[], str]) -> None:
+        """Show where things stand, unless it is too soon; `tell` is called where it is not."""
+        now = time.monotonic()
+        if not self._shown or now - self._last < self._period_s:
+            return
+        self._last = now
+        # A line that the terminal breaks could not be written over.
+        self._out.write("\r\x1b[K" + tell()[: shutil.get_terminal_size().columns - 1])
+        self._out.flush()
+
+    def end(self) -> None:
+        """Leave the line behind."""
+        if self._last > -math.inf:
+            self._out.write("\r\x1b[K")
+            self._out.flush()
+
+
+def bar(share: float) -> str:
+    """How far it is: `━━━━──────`."""
+    done = min(BAR, int(share * BAR))
+    return "━" * done + "─" * (BAR - done)
 
 
 def pascals(e_pa: float) -> str:

@@ -3,67 +3,10 @@
 from __future__ import annotations
 
 import math
-import shutil
-import time
-from typing import Protocol, runtime_checkable
 
 from service.replay.player import Summary
 
 PERCENTILES = (50.0, 95.0, 99.0)
-
-PERIOD_S = 0.1
-"""Between two lines: faster than that nobody reads."""
-
-BAR = 10
-"""Characters of the bar."""
-
-
-@runtime_checkable
-class Stream(Protocol):
-    """What text is written to."""
-
-    def write(self, text: str, /) -> object: ...
-    def flush(self) -> object: ...
-    def isatty(self) -> bool: ...
-
-
-class ProgressLine:
-    """One line that is written over itself, on a terminal; nothing elsewhere.
-
-    Args:
-        out: Where it is written.
-        duration_s: Of what is played, for a bar; 0 where nobody knows.
-    """
-
-    def __init__(self, out: Stream, duration_s: float = 0.0) -> None:
-        self._out = out
-        self._duration_s = duration_s
-        self._shown = out.isatty()
-        self._last = -math.inf
-
-    def __call__(self, summary: Summary) -> None:
-        """Show where things stand."""
-        now = time.monotonic()
-        if not self._shown or now - self._last < PERIOD_S:
-            return
-        self._last = now
-        # A line that the terminal breaks could not be written over.
-        room = shutil.get_terminal_size().columns - 1
-        shown = bar(summary.recorded_s / self._duration_s) if self._duration_s > 0.0 else ""
-        self._out.write("\r\x1b[K" + (shown + line(summary))[:room])
-        self._out.flush()
-
-    def end(self) -> None:
-        """Leave the line behind."""
-        if self._shown and self._last > -math.inf:
-            self._out.write("\r\x1b[K")
-            self._out.flush()
-
-
-def bar(share: float) -> str:
-    """How far it is: `━━━━──────`."""
-    done = min(BAR, int(share * BAR))
-    return "━" * done + "─" * (BAR - done)
 
 
 def line(summary: Summary) -> str:

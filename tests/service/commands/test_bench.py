@@ -1,6 +1,8 @@
 """`physnet bench`: one real run against a service of its own, and what it refuses."""
 
 import json
+import re
+import sys
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ import pytest
 from service.__main__ import main
 from service.commands.exits import FAILED, OK, USAGE
 from tests.service.fakes import FakePredictor, running
+from tests.service.screen import Screen
 
 
 def test_a_service_of_our_own_is_started_measured_and_compared(
@@ -35,6 +38,22 @@ def test_a_service_that_runs_is_asked(capsys: pytest.CaptureFixture[str]) -> Non
         given = ["--server", service.grpc, "--rate", "20", "--duration", "0.2"]
         assert main(["bench", *given]) == OK
     assert "4 asked" in capsys.readouterr().out
+
+
+def test_a_terminal_sees_how_far_it_is(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setenv("COLUMNS", "100")
+    with running(FakePredictor()) as service:
+        assert main(["bench", "--server", service.grpc, "--rate", "10", "--duration", "2"]) == OK
+    *_, shown, left = screen.getvalue().split("\r\x1b[K")
+    found = re.fullmatch(r"(━*)─*  asked (\d+) of 20  answered (\d+)  skipped (\d+)  failed 0  p50 \d+ ms", shown)
+    assert found and left == ""
+    asked, answered, skipped = map(int, found.groups()[1:])
+    assert 0 < answered == asked - skipped
+    assert abs(len(found[1]) - asked / 2) <= 1
+    # What was measured is printed as ever.
+    assert "20 asked" in capsys.readouterr().out
 
 
 def test_failures_end_with_1() -> None:

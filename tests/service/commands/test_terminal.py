@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import io
+import threading
 import time
 
 import pytest
 
-from service.commands.terminal import Terminal, pascals, wants_colour
+from service.commands.terminal import ProgressLine, Terminal, bar, pascals, wants_colour
+from tests.service.screen import Screen
 from tests.service.waiting import until
-
-
-class Screen(io.StringIO):
-    def isatty(self) -> bool:
-        return True
 
 
 @pytest.mark.parametrize(
@@ -60,6 +57,40 @@ def test_what_is_quick_or_piped_shows_nothing():
     with Terminal(False, io.StringIO(), pipe).working("x"):
         time.sleep(0.5)
     assert screen.getvalue() == pipe.getvalue() == ""
+
+
+def test_progress_is_written_over_itself_on_a_terminal_alone(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "12")
+    screen, pipe = Screen(), io.StringIO()
+    for out in (screen, pipe):
+        progress = ProgressLine(out, period_s=60.0)
+        progress.show(lambda: "half of it is done")
+        progress.show(lambda: pytest.fail("too soon to be read"))
+        progress.end()
+    # What would be broken into two lines could not be written over.
+    assert screen.getvalue() == "\r\x1b[Khalf of it \r\x1b[K"
+    assert pipe.getvalue() == ""
+
+
+def test_a_bar_is_as_full_as_its_share():
+    assert [bar(share) for share in (0.0, 0.49, 1.0, 1.2)] == ["─" * 10, "━━━━──────", "━" * 10, "━" * 10]
+
+
+def test_whoever_is_watched_is_not_asked_to_tell():
+    """The line is made by another thread, now and then, and by none where nobody sees it."""
+    threads = []
+
+    def tell() -> str:
+        threads.append(threading.current_thread())
+        return f"{len(threads)} looks"
+
+    screen = Screen()
+    with Terminal(False, io.StringIO(), screen).watching(tell, period_s=0.05):
+        assert until(lambda: "2 looks" in screen.getvalue())
+    assert threading.current_thread() not in threads and not threads[0].is_alive()
+    assert screen.getvalue().endswith("looks\r\x1b[K")
+    with Terminal(False, io.StringIO(), io.StringIO()).watching(pytest.fail, period_s=0.0):
+        time.sleep(0.4)
 
 
 @pytest.mark.parametrize(

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import json
 import math
+import re
 import subprocess
 import sys
 from typing import Any
@@ -32,13 +32,14 @@ from service.replay.force import Force, force_of
 from service.replay.foxglove import quaternion_of, scene, voxel_grid
 from service.replay.frames import RecordedFrame
 from service.replay.player import Summary, paced, play
-from service.replay.progress import ProgressLine, bar, line, report
+from service.replay.progress import line, report
 from service.settings import Settings
 from tests.poses import pose
 from tests.service.box_scene import BoxScene
 from tests.service.client.answers import answer
 from tests.service.fakes import FakePredictor, fake_result, running
 from tests.service.replay.bags import FRAME, PERIOD_NS, START_NS, UP, write_bag
+from tests.service.screen import Screen
 
 SCENE = BoxScene(width=64, height=48, focal_px=60.0)
 PUSH = ["--material", "silicone", "--press", "31,20", "--force", "-1,0,2.5"]
@@ -199,32 +200,22 @@ def test_a_summary_of_nothing_has_no_latency():
     assert "p50 –" in line(summary)
 
 
-class Screen(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_live_line_is_for_a_terminal_alone():
+def test_a_line_tells_where_things_stand():
     summary = Summary(sent=3, answered=2, skipped=1, recorded_s=0.1, played_s=0.4, round_trip_ms=[20.0, 40.0])
-    screen, pipe = Screen(), io.StringIO()
-    for out in (screen, pipe):
-        progress = ProgressLine(out)
-        # The second comes too soon to be read.
-        progress(summary)
-        progress(summary)
-        progress.end()
-    want = "    0.1 s  frames 3  answered 2 (5.0/s)  skipped 1  failed 0  p50 30 ms"
-    assert screen.getvalue() == f"\r\x1b[K{want}\r\x1b[K"
-    assert pipe.getvalue() == ""
+    assert line(summary) == "    0.1 s  frames 3  answered 2 (5.0/s)  skipped 1  failed 0  p50 30 ms"
 
 
-def test_a_bar_shows_how_much_of_the_recording_is_played(monkeypatch):
-    assert [bar(share) for share in (0.0, 0.49, 1.0, 1.2)] == ["─" * 10, "━━━━──────", "━" * 10, "━" * 10]
+def test_a_terminal_sees_a_recording_play(bag, embedded, monkeypatch):
     screen = Screen()
+    monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("COLUMNS", "40")
-    ProgressLine(screen, duration_s=0.2)(Summary(sent=3, answered=2, recorded_s=0.1, played_s=0.4))
-    # What would be broken into two lines could not be written over.
-    assert screen.getvalue() == "\r\x1b[K━━━━━─────    0.1 s  frames 3  answered"
+    assert main(["replay", bag, *PUSH, "--rate", "0"]) == OK
+    first, *_, last = screen.getvalue().split("\r\x1b[K")[1:]
+    assert re.fullmatch(r"[━─]{10}    \d\.\d s  frames \d+  answered", first)
+    assert last == ""
+    screen.truncate(0)
+    assert main(["replay", bag, *PUSH, "--limit", "1", "--rate", "0"]) == OK
+    assert "frames 1" in screen.getvalue() and "─" not in screen.getvalue()
 
 
 @pytest.mark.parametrize(
