@@ -23,6 +23,9 @@ SHOWN = ("nothing moves", "coarse solve alone", "network")
 
 LAWS = ("linear FEM", "neo-Hookean FEM")
 
+IN_A_ROW = 5
+"""Pictures of the worst answers beside each other."""
+
 ENOUGH = 100
 """Voxels that a bin of probabilities must hold for its share to be shown."""
 
@@ -37,15 +40,18 @@ def curves(found: dict[str, Any]) -> bytes:
     axes = figure.subplots(1, 3)
     names = [name for name in found["ms"] if name in SHOWN]
     names += [elements[-1] for law in LAWS if (elements := _of_law(found, law))]
+    colours = {name: f"C{number}" for number, name in enumerate(names)}
     for axis, (label, parts) in zip(axes, found["curves"].items(), strict=False):
+        middles = [part["middle"] for part in parts]
         for name in names:
-            axis.plot([part["middle"] for part in parts], [part["iou"][name] for part in parts], marker=".", label=name)
+            axis.plot(middles, [part["iou"][name] for part in parts], marker=".", label=name, color=colours[name])
         axis.set(xlabel=label, ylabel="IoU, mean of a tenth of the samples")
     axes[0].legend(frameon=False, fontsize="small")
     for name in ("coarse solve alone", "network"):
         voxels, said, true = np.array(found["calibration"][name])
         full = voxels >= ENOUGH
-        axes[2].plot(said[full] / voxels[full], true[full] / voxels[full], marker=".", label=name)
+        shares = said[full] / voxels[full], true[full] / voxels[full]
+        axes[2].plot(*shares, marker=".", label=name, color=colours[name])
     axes[2].plot([0, 1], [0, 1], color="0.7", linewidth=0.8)
     axes[2].set(xlabel="probability of a voxel", ylabel="share of them that is filled")
     axes[2].legend(frameon=False, fontsize="small")
@@ -88,7 +94,7 @@ def _svg(figure: Figure) -> bytes:
 
 
 def worst(found: dict[str, Any], rival: Contender, samples: DeformationSet) -> bytes:
-    """The worst answers as a PNG: above the body at rest behind the true answer, below behind the given one."""
+    """The worst answers as a PNG, five to a row: the body at rest behind the true answer, below it the given one."""
     truths, answers = [], []
     for row in found["worst"]:
         batch = samples.batch(np.array([row["row"]]))
@@ -96,4 +102,8 @@ def worst(found: dict[str, Any], rival: Contender, samples: DeformationSet) -> b
         answer = rival.answer(batch)[0][0] > rival.threshold
         truths.append(captioned(draw([(rest, REST), (truth, DEFORMED)]), row["family"], "true"))
         answers.append(captioned(draw([(rest, REST), (answer, DEFORMED)]), rival.name, f"IoU {row['iou']:.2f}"))
-    return cv2.imencode(".png", arranged([*truths, *answers], columns=len(truths)))[1].tobytes()
+    columns = min(IN_A_ROW, len(truths))
+    missing = [np.full_like(truths[0], 255)] * (-len(truths) % columns)
+    pairs = [(truths + missing)[i : i + columns] + (answers + missing)[i : i + columns]
+             for i in range(0, len(truths), columns)]  # fmt: skip
+    return cv2.imencode(".png", arranged([tile for pair in pairs for tile in pair], columns))[1].tobytes()

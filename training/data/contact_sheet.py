@@ -11,8 +11,10 @@ from service.core.grids import unpack_bits
 from training.data.store import Store, StoreError
 from training.simulation.camera import direction
 
-TILE = 160
+TILE = 200
 """Edge of a picture in pixels."""
+ZOOM = 0.66
+"""Edge of the body's cube, as a share of a picture's: a body that fills the cube fits, but for its nearest corner."""
 COLUMNS = 8
 PAPER = np.array([255, 255, 255], np.uint8)
 REST, DEFORMED, SEEN = (205, 200, 195), (90, 140, 235), (60, 120, 210)
@@ -89,8 +91,8 @@ def _surface(occupancy: Occupancy) -> tuple[Float[np.ndarray, "h w"], Float[np.n
     if not len(points):
         return depth, shade
     centred = points - np.array([0.5, 0.5, 0.42])
-    column = np.round(TILE * (0.5 + 0.8 * centred @ right)).astype(int)
-    row = np.round(TILE * (0.62 - 0.8 * centred @ up)).astype(int)
+    column = np.round(TILE * (0.5 + ZOOM * centred @ right)).astype(int)
+    row = np.round(TILE * (0.56 - ZOOM * centred @ up)).astype(int)
     height = centred @ toward
     bright = 0.45 + 0.55 * np.clip(normals @ LIGHT, 0.0, 1.0)
     order = np.argsort(height)
