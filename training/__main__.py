@@ -33,7 +33,7 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--init-from", type=Path, metavar="RUN", help="begin with the weights of another run that fit")
     fit.add_argument(
         "--more", type=Path, action="append", default=[], metavar="DIR",
-        help="train on the bodies of this data set too; may be given again (deformation)",
+        help="train on this data set too; may be given again",
     )
     fit.add_argument("--threads", type=int, default=os.cpu_count() or 1)
     fit.set_defaults(run=_fit)
@@ -67,9 +67,6 @@ def _fit(options: argparse.Namespace) -> int:
     from training.fit_reconstruction import fit_reconstruction
     from training.runs import Run, RunError
 
-    if options.more and options.network != "deformation":
-        print("physnet-train: --more belongs to fit deformation", file=sys.stderr)
-        return 2
     torch.set_num_threads(options.threads)
     changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
@@ -79,7 +76,8 @@ def _fit(options: argparse.Namespace) -> int:
             config = chosen(DEFORMATION_PRESETS, options.preset, **changes)
             fit_deformation(options.data, run, config, begin_from, options.more)
         else:
-            fit_reconstruction(options.data, run, chosen(RECONSTRUCTION_PRESETS, options.preset, **changes), begin_from)
+            views = chosen(RECONSTRUCTION_PRESETS, options.preset, **changes)
+            fit_reconstruction(options.data, run, views, begin_from, options.more)
     except (ConfigError, RunError, StoreError, FileNotFoundError, ValueError) as error:
         print(f"physnet-train: {error}", file=sys.stderr)
         return 1

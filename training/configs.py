@@ -90,6 +90,7 @@ class FitConfig:
         adversary: None trains without a critic.
         alpha: α of the modified cross-entropy.
         begun_from: The run, and what it had seen, whose weights this one began with; None for random ones.
+        more: Sets besides the first that are trained on too, in words; None where there are none.
         validation_samples: An evenly spread part of the validation split.
     """
 
@@ -99,6 +100,7 @@ class FitConfig:
     adversary: AdversaryConfig | None = None
     alpha: float = 0.5
     begun_from: str | None = None
+    more: tuple[str, ...] | None = None
     validate_every: int = 500
     validation_samples: int = 200
 
@@ -141,7 +143,6 @@ class FitDeformationConfig(FitConfig):
         held_out: What is not trained on, to see what that does there.
         lattice: Learn displacements on the lattice of the coarse solve alone (`training.data.lattice`), not what is
             looked up: four times as many steps in the same time.
-        more: Sets besides the first whose bodies are trained on too, in words; None where there are none.
     """
 
     network: DeformationKind = field(default_factory=DeformationConfig)
@@ -152,7 +153,6 @@ class FitDeformationConfig(FitConfig):
     points: int = 1536
     held_out: HeldOut | None = None
     lattice: bool = False
-    more: tuple[str, ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

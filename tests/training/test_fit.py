@@ -2,6 +2,7 @@
 
 import csv
 import dataclasses
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -129,21 +130,25 @@ def test_a_killed_run_goes_on_to_the_very_same_state(any_program: Program, tmp_p
     assert log(tmp_path / "whole") == log(tmp_path / "killed")
 
 
-def test_a_run_may_train_on_the_bodies_of_more_sets_and_says_so(
-    deformations: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_run_may_train_on_more_sets_and_says_so(
+    program: Program, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """It goes on only with the same sets."""
-    begun = replace(tiny.FIT_DEFORMATION, steps=3)
-    fit_deformation(deformations, Run(tmp_path), begun, more=[deformations, deformations])
-    assert "18 training and 2 validation samples" in capsys.readouterr().err
-    saved = torch.load(tmp_path / "checkpoint.pt", weights_only=True)
-    digest = Store(deformations).manifest()["digest"]
+    """It goes on only with the same sets, and validates on the first alone."""
+    begun = replace(program.config, steps=3)
+    program.fit(program.data, Run(tmp_path / "alone"), begun)
+    alone = re.search(r"(\d+) training and (\d+) validation", capsys.readouterr().err)
+    program.fit(program.data, Run(tmp_path / "more"), begun, more=[program.data, program.data])
+    three = re.search(r"(\d+) training and (\d+) validation", capsys.readouterr().err)
+    assert alone and three
+    assert (int(three[1]), three[2]) == (3 * int(alone[1]), alone[2])
+    saved = torch.load(tmp_path / "more" / "checkpoint.pt", weights_only=True)
+    digest = Store(program.data).manifest()["digest"]
     assert [digest in said for said in saved["config"]["more"]] == [True, True]
     assert saved["dataset"]["digest"] == digest
-    fit_deformation(deformations, Run(tmp_path), begun, more=[deformations, deformations])
-    for more in ([], [deformations]):
+    program.fit(program.data, Run(tmp_path / "more"), begun, more=[program.data, program.data])
+    for more in ([], [program.data]):
         with pytest.raises(RunError, match="more"):
-            fit_deformation(deformations, Run(tmp_path), begun, more=more)
+            program.fit(program.data, Run(tmp_path / "more"), begun, more=more)
 
 
 def test_only_a_correction_is_learned_on_the_lattice(deformations: Path, tmp_path: Path) -> None:

@@ -306,6 +306,15 @@ class ViewSet:
             raise _no_body(root, split)
         return cls(family=tuple(family), **{key: np.concatenate(parts) for key, parts in columns.items()})
 
+    def joined(self, others: Sequence[ViewSet]) -> ViewSet:
+        """These views and then those of other sets."""
+        sets = (self, *others)
+        kinds = ("observed", "free", "truth")
+        return ViewSet(
+            family=tuple(name for s in sets for name in s.family),
+            **{kind: np.concatenate([getattr(s, kind) for s in sets]) for kind in kinds},
+        )
+
     def batch(self, rows: Int[np.ndarray, " b"]) -> ViewBatch:
         view = torch.cat([unpack(self.observed[rows]), unpack(self.free[rows])], dim=1)
         return ViewBatch(view=view, truth=unpack(self.truth[rows])[:, 0])

@@ -207,6 +207,15 @@ def test_changed_views_are_batched_like_others_and_only_as_far_as_asked(views: P
         assert not torch.equal(changed.truth[i], plain.truth[i])
 
 
+def test_joined_views_are_those_of_one_set_and_then_of_the_other(views: Path) -> None:
+    first, second = (ViewSet.load(views, split) for split in ("train", "test"))
+    both = first.joined([second])
+    assert both.family == first.family + second.family
+    last = both.batch(np.array([len(both) - 1]))
+    assert torch.equal(last.view, second.batch(np.array([len(second) - 1])).view)
+    assert torch.equal(both.batch(np.array([1])).truth, first.batch(np.array([1])).truth)
+
+
 def test_a_view_is_mirrored_left_to_right_only(views: Path) -> None:
     batch = ViewSet.load(views, "train").batch(np.array([0, 3]))
     batch.view[0, 0, 10, 20, 30] = batch.truth[0, 10, 20, 30] = 1.0
