@@ -23,7 +23,7 @@ class GltfFile:
     """A scene as it grows."""
 
     def __init__(self) -> None:
-        # Imported where it is used: half a second that only those wait who ask for such a file.
+        # Imported where it is used: 0.1 s, and 1 s where SciPy is there, which only those wait who want such a file.
         import trimesh
 
         self._scene = trimesh.Scene()

@@ -20,7 +20,7 @@ def encode_binvox(
         edge_m: Edge of the whole cube.
         corner_m: Its lowest corner.
     """
-    # Imported where it is used: half a second that only those wait who write such a file.
+    # Imported where it is used: 0.1 s, and 1 s where SciPy is there, which only those wait who want such a file.
     from trimesh.exchange.binvox import binvox_bytes
     from trimesh.voxel.runlength import dense_to_rle
 
