@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import io
-import json
 import re
 import shutil
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+import pygltflib
 import pytest
 
 from tests.conftest import ROOT, LiveService
@@ -250,14 +249,25 @@ def test_the_result_is_saved_as_three_kinds_of_files(mug: Visit):
     a, b, c = (points["place"][triangles[:, corner]].astype(float) for corner in range(3))
     volume_m3 = float((a * np.cross(b, c)).sum() / 6.0)
     assert volume_m3 == pytest.approx(archive["deformed"].sum() * float(archive["voxel_size_m"]) ** 3, rel=0.2)
+    np.testing.assert_allclose(np.linalg.norm(points["normal"], axis=1), 1.0, atol=1e-3)
+    assert re.findall(rb"property float (displacement|uncertainty)", head) == [b"displacement", b"uncertainty"]
+    displacement_m = points["known"][:, 0]
+    assert 1e3 * displacement_m.max() == pytest.approx(mug.peak_mm(), rel=0.1)
+    assert re.findall(rb"property uchar (\w+)", head) == [b"red", b"green", b"blue"]
+    # What has moved least has the first colour of the scale.
+    assert points["colour"][displacement_m.argmin()].tolist() == [0xB4, 0xBD, 0xC5]
 
-    scene = saved("glb")
-    magic, version, size, length, kind = struct.unpack_from("<4sIII4s", scene)
-    assert (magic, version, size, kind) == (b"glTF", 2, len(scene), b"JSON")
-    document = json.loads(scene[20 : 20 + length])
-    assert [node["name"] for node in document["nodes"]] == ["reconstruction", "deformed"]
-    place = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
-    assert place["max"][1] - place["min"][1] == pytest.approx(extent_m, abs=3 * float(archive["voxel_size_m"]))
+    scene = pygltflib.GLTF2.load_from_bytes(saved("glb"))
+    assert [node.name for node in scene.nodes] == ["reconstruction", "deformed"]
+    assert scene.scenes[0].extras["voxel_size_m"] == float(archive["voxel_size_m"])
+    rest, deformed = ([scene.accessors[n] for n in (mesh.primitives[0].attributes.POSITION, mesh.primitives[0].indices)]
+                      for mesh in scene.meshes)  # fmt: skip
+    assert rest[0].max[1] - rest[0].min[1] == pytest.approx(extent_m, abs=3 * float(archive["voxel_size_m"]))
+    assert (deformed[0].count, deformed[1].count) == (vertices, 3 * faces)
+    moved = scene.accessors[scene.meshes[1].primitives[0].attributes._DISPLACEMENT]
+    view = scene.bufferViews[moved.bufferView]
+    read = np.frombuffer(scene.binary_blob(), "<f4", moved.count, view.byteOffset)
+    np.testing.assert_array_equal(read, displacement_m)
 
 
 def test_errors_are_said_in_words_and_settled_by_the_next_answer(mug: Visit, tmp_path: Path):

@@ -284,7 +284,7 @@ class Playground {
     if (!this.#frame || !this.#body || !restSkin || !deformedSkin) return;
     const name = `physnet-${this.#frame.name.toLowerCase().replace(/\.[a-z]+$/, "").replace(/[^a-z0-9]+/g, "-")}`;
     if (kind === "ply") save(`${name}.ply`, ply(deformedSkin, this.#body, scaleM), "application/octet-stream");
-    else if (kind === "glb") save(`${name}.glb`, glb(restSkin, deformedSkin, this.#body, scaleM), "model/gltf-binary");
+    else if (kind === "glb") save(`${name}.glb`, await glb(restSkin, deformedSkin, this.#body, scaleM), "model/gltf-binary");
     else await this.#saveNpz(`${name}.npz`);
   }
 
