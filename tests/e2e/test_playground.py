@@ -259,7 +259,8 @@ def test_the_result_is_saved_as_three_kinds_of_files(mug: Visit):
 
     scene = pygltflib.GLTF2.load_from_bytes(saved("glb"))
     assert [node.name for node in scene.nodes] == ["reconstruction", "deformed"]
-    assert scene.scenes[0].extras["voxel_size_m"] == float(archive["voxel_size_m"])
+    # The archive is asked for anew, at a contact that may have moved since the body on the page was found.
+    assert scene.scenes[0].extras["voxel_size_m"] == pytest.approx(float(archive["voxel_size_m"]), rel=0.01)
     rest, deformed = ([scene.accessors[n] for n in (mesh.primitives[0].attributes.POSITION, mesh.primitives[0].indices)]
                       for mesh in scene.meshes)  # fmt: skip
     assert rest[0].max[1] - rest[0].min[1] == pytest.approx(extent_m, abs=3 * float(archive["voxel_size_m"]))
