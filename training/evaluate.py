@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float, Float32
 from scipy.optimize import minimize_scalar
 from torch import Tensor
 
+from service.core.lookup import EVEN
 from training.data.batches import DeformationSet, ViewSet
 from training.metrics import (
     active_latents,
@@ -232,16 +233,21 @@ def _answer(
 def as_served(
     network: Deforming, validation: DeformationSet, threshold: float | None = None
 ) -> tuple[Deforming, float, Figures]:
-    """The network with the share of its correction that is served, its threshold, and what was tuned of the share."""
+    """The network with the share of its correction that is served, its threshold, and what was tuned of the share.
+
+    Where a coarse solve is corrected, the threshold is `EVEN`, not tuned: a body looked up must come back as it is where
+    nothing moves, and one that was reconstructed is told from what is around it by little more than that.
+    """
     tuned: Figures = {}
     if isinstance(network, DeformationNetwork) and network.config.prior:
         tuned["correction_share"] = tune_share(network, validation)
         network = shrunk(network, tuned["correction_share"])
+        threshold = threshold or EVEN
     return network, threshold or tune_threshold(network, validation), tuned
 
 
 def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None = None) -> tuple[float, dict[str, Any]]:
-    """Tune the share of the correction and, unless it is given, the threshold on validation, then score a split.
+    """Tune the share of the correction and, unless it is given, the threshold (see `as_served`), then score a split.
 
     Returns:
         The threshold, and the figures.

@@ -5,10 +5,12 @@ import numpy as np
 import pytest
 import torch
 
+from service.core.lookup import EVEN
 from tests.training import tiny
 from training.data.batches import DeformationSet, ViewSet
 from training.evaluate import (
     THRESHOLDS,
+    as_served,
     evaluate,
     evaluate_deformation,
     evaluate_reconstruction,
@@ -134,6 +136,14 @@ class Doubtful(Seeing):
         truth = samples.batch(np.arange(len(samples))).truth > 0.5
         wrong = torch.rand(truth.shape, generator=torch.Generator().manual_seed(0)) < 0.25
         self.logits = torch.where(truth ^ wrong, 2.2, -2.2)
+
+
+def test_a_corrected_solve_is_served_at_the_level_that_keeps_a_body_that_does_not_move(deformations: Path) -> None:
+    samples = DeformationSet.load(deformations, "validation", prior=True)
+    network, threshold, tuned = as_served(tiny.deformation_network(), samples)
+    assert threshold == EVEN
+    assert "correction_share" in tuned
+    assert as_served(network, samples, 0.6)[1] == 0.6
 
 
 def test_the_temperature_takes_back_what_is_too_sure(views: Path) -> None:
