@@ -235,8 +235,8 @@ def as_served(
 ) -> tuple[Deforming, float, Figures]:
     """The network with the share of its correction that is served, its threshold, and what was tuned of the share.
 
-    Where a coarse solve is corrected, the threshold is `EVEN`, not tuned: a body looked up must come back as it is where
-    nothing moves, and one that was reconstructed is told from what is around it by little more than that.
+    Where a coarse solve is corrected, the threshold is `EVEN`, not tuned: a body looked up must come back as it is
+    where nothing moves, and one that was reconstructed is told from what is around it by little more than that.
     """
     tuned: Figures = {}
     if isinstance(network, DeformationNetwork) and network.config.prior:

@@ -21,9 +21,9 @@ EVEN = 0.48
 """Value that stays as it is: which voxels are in the body does not depend on how sure that is."""
 
 DOUBT, DOUBT_OF_MOTION = 0.09, 3.6
-"""By how much a smoothed occupancy is to be doubted: where nothing moves, and what each edge of the grid that the material
-has come adds to it, in squares, as the error of an answer grows with it. The likeliest on the validation samples of
-`everyday`; docs/runs.md tells what they give."""
+"""By how much a smoothed occupancy is to be doubted: where nothing moves, and what each edge of the grid that the
+material has come adds to it, in squares, as the error of an answer grows with it. The likeliest on the validation
+samples of `everyday`; docs/runs.md tells what they give."""
 
 CELLS = FIELD_SIZE + 1
 """Cells of the field along each edge of the grid: between neighbouring nodes, and beyond the outermost."""
