@@ -8,6 +8,7 @@ import pytest
 
 from tests.training import tiny
 from training.__main__ import main
+from training.data.contact_sheet import TILE
 from training.data.store import Store
 
 
@@ -25,9 +26,9 @@ def test_inspect_prints_what_is_there_and_draws_it(tmp_path: Path, capsys: pytes
     ):  # fmt: skip
         assert line in printed
     picture = cv2.imread(str(root / "contact-sheet.png"))
-    assert picture.shape == (160 + 150, 5 * 160, 3)
+    assert picture.shape == (TILE + 150, 5 * TILE, 3)
     # Every tile shows a body.
-    for tile in np.split(picture[30:160], 5, axis=1):
+    for tile in np.split(picture[30:TILE], 5, axis=1):
         assert (tile.min(axis=2) < 200).mean() > 0.02
 
 
@@ -43,7 +44,7 @@ def test_views_are_inspected_too(tmp_path: Path, capsys: pytest.CaptureFixture[s
     target = tmp_path / "pictures" / "sheet.png"
     assert main(["dataset", "inspect", str(root), "--samples", "2", "--picture", str(target)]) == 0
     assert "observed voxels" in capsys.readouterr().out
-    assert cv2.imread(str(target)).shape == (160, 320, 3)
+    assert cv2.imread(str(target)).shape == (TILE, 2 * TILE, 3)
 
 
 def test_an_unfinished_set_is_described_without_a_manifest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
