@@ -13,7 +13,7 @@ from jaxtyping import Int
 
 from training.comparison import Contender, compare, contenders, deforming
 from training.configs import HeldOut
-from training.data.batches import DeformationSet
+from training.data.batches import DeformationSet, spread_rows
 from training.evaluate import as_served
 from training.networks.checkpoint import load_network
 
@@ -100,11 +100,6 @@ def words(held: HeldOut) -> str:
         high = "" if held.high == math.inf else f" ≤ {held.high:g}"
         parts.append(f"{low}{held.field}{high}")
     return "; ".join(parts)
-
-
-def spread_rows(samples: int, count: int) -> Int[np.ndarray, " n"]:
-    """At most so many rows, evenly spread."""
-    return np.unique(np.linspace(0, samples - 1, count).astype(int))
 
 
 def splits_markdown(found: Sequence[dict[str, Any]]) -> str:

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from torch import Tensor
 
 from service.core.lookup import EVEN
-from training.data.batches import DeformationSet, ViewSet
+from training.data.batches import DeformationSet, ViewSet, spread_rows
 from training.metrics import (
     active_latents,
     calibration_curve,
@@ -167,7 +167,7 @@ def evaluate_reconstruction(
 @torch.no_grad()
 def tune_threshold(network: Deforming | Reconstructing, samples: DeformationSet | ViewSet, count: int = 160) -> float:
     """The candidate threshold of the highest mean IoU on an evenly spread part of the validation split."""
-    rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+    rows = spread_rows(len(samples), count)
     totals = np.zeros(len(THRESHOLDS))
     for part in np.array_split(rows, max(1, len(rows) // BATCH)):
         probability, truth = _answer(network, samples, part)
@@ -181,7 +181,7 @@ def tune_temperature(network: ReconstructionNetwork, views: ViewSet, count: int 
 
     Every eighth voxel that is not free; the overlap in the loss makes a network surer than it ought to be.
     """
-    rows = np.unique(np.linspace(0, len(views) - 1, count).astype(int))
+    rows = spread_rows(len(views), count)
     logits, truths = [], []
     for part in np.array_split(rows, max(1, len(rows) // BATCH)):
         batch = views.batch(part)
@@ -204,7 +204,7 @@ def tune_share(network: DeformationNetwork, samples: DeformationSet, count: int 
 
     A network that guesses how far the coarse solve is off, and is often wrong, gains by saying less than it thinks.
     """
-    rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+    rows = spread_rows(len(samples), count)
     candidates = [shrunk(network, share) for share in SHARES]
     totals = np.zeros(len(SHARES))
     for part in np.array_split(rows, max(1, len(rows) // BATCH)):

@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from training.configs import FitDeformationConfig
-from training.data.batches import DeformationBatch, DeformationSet
+from training.data.batches import DeformationBatch, DeformationSet, spread_rows
 from training.data.lattice import LatticeBatch, LatticeSet
 from training.data.store import Store
 from training.fit_critic import Adversary
@@ -185,7 +185,7 @@ def validate(network: DeformationNetwork | PhysNet, samples: DeformationSet, cou
     `skill` counts samples that moved (identity IoU below 0.95) and is 0 where none did: nothing was to be gained.
     """
     network.eval()
-    rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+    rows = spread_rows(len(samples), count)
     ious, means, relative, peaks = [], [], [], []
     for part in np.array_split(rows, max(1, len(rows) // 16)):
         batch = samples.batch(part)

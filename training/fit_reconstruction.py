@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from training.configs import FitReconstructionConfig
-from training.data.batches import ViewSet
+from training.data.batches import ViewSet, spread_rows
 from training.data.store import Store
 from training.fit_critic import Adversary
 from training.fit_loop import Learner, training_steps
@@ -84,7 +84,7 @@ def fit_reconstruction(
 def validate(network: ReconstructionNetwork | RecGan, views: ViewSet, count: int) -> dict[str, float]:
     """IoU on a fixed, evenly spread subset, beside what is observed alone."""
     network.eval()
-    rows = np.unique(np.linspace(0, len(views) - 1, count).astype(int))
+    rows = spread_rows(len(views), count)
     ious, seen = [], []
     for part in np.array_split(rows, max(1, len(rows) // 16)):
         batch = views.batch(part)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from scipy.stats import spearmanr
 
-from training.data.batches import DeformationBatch, DeformationSet
+from training.data.batches import DeformationBatch, DeformationSet, spread_rows
 from training.networks.deformation import DeformationNetwork
 from training.predict import predict
 
@@ -26,7 +26,7 @@ def displacement_spread(
         between spread and error of the samples, both in edges of the grid; `spread_correlation_of_peak`: the same of
         both as shares of the answered peak, where it is of no help that what moves far is off by more.
     """
-    rows = np.unique(np.linspace(0, len(samples) - 1, count).astype(int))
+    rows = spread_rows(len(samples), count)
     rng = np.random.default_rng(0)
     found = []
     for part in np.array_split(rows, max(1, len(rows) // BATCH)):

@@ -83,8 +83,8 @@ def _beside_rivals(options: argparse.Namespace) -> tuple[dict[str, Any], str, di
 
     from training.comparison import compare, contenders, deforming, markdown, report
     from training.comparison_pictures import curves, frontier, worst
-    from training.comparison_splits import CELLS, held_out, other_bodies, splits_markdown, spread_rows
-    from training.data.batches import DeformationSet
+    from training.comparison_splits import CELLS, held_out, other_bodies, splits_markdown
+    from training.data.batches import DeformationSet, spread_rows
     from training.evaluate import as_served
     from training.networks.checkpoint import load_network
 

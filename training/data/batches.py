@@ -275,6 +275,11 @@ def transposed_field(field: Float[Tensor, "b 3 x y z"]) -> Float[Tensor, "b 3 y 
     return field[:, [1, 0, 2]].transpose(2, 3)
 
 
+def spread_rows(size: int, count: int) -> Int[np.ndarray, " n"]:
+    """At most `count` of `size` rows, evenly spread."""
+    return np.unique(np.linspace(0, size - 1, count).astype(int))
+
+
 @dataclass(frozen=True)
 class ViewSet:
     """Views of bodies in their view grids."""

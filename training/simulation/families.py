@@ -107,10 +107,11 @@ def stands(shape: Shape) -> bool:
     if count > 1 and np.bincount(labels.ravel())[1:].max() < 0.995 * occupancy.sum():
         return False
     foot = occupancy[:, :, 0]
-    return bool(foot.sum() >= SMALLEST_FOOT * foot.size and _is_balanced(occupancy, foot))
+    return bool(foot.sum() >= SMALLEST_FOOT * foot.size and is_balanced(occupancy, foot))
 
 
-def _is_balanced(occupancy: Bool[np.ndarray, "x y z"], foot: Bool[np.ndarray, "x y"]) -> bool:
+def is_balanced(occupancy: Bool[np.ndarray, "x y z"], foot: Bool[np.ndarray, "x y"]) -> bool:
+    """Whether the middle of what is filled lies above the box around the foot."""
     centre = np.argwhere(occupancy)[:, :2].mean(axis=0)
     touching = np.argwhere(foot)
     return bool((touching.min(axis=0) <= centre).all() and (centre <= touching.max(axis=0)).all())

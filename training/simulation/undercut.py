@@ -10,6 +10,7 @@ from jaxtyping import Bool
 from scipy import ndimage
 
 from training.simulation.distance_grid import DistanceGrid
+from training.simulation.families import is_balanced
 
 SMALLEST_FOOT = 0.01
 """Least part of the body's horizontal box that is left of its foot."""
@@ -59,11 +60,9 @@ def foot(grid: DistanceGrid) -> Bool[np.ndarray, "x y"]:
 
 def stands(cut: DistanceGrid, whole: DistanceGrid) -> bool:
     """Whether an undercut body still has a foot, its centre of mass above the box around that, and is in one piece."""
-    touching = np.argwhere(foot(cut))
-    inside = cut.values < 0
+    touching, inside = foot(cut), cut.values < 0
     box = np.argwhere((whole.values < 0).any(axis=2))
-    if len(touching) < SMALLEST_FOOT * float((box.max(axis=0) - box.min(axis=0) + 1).prod()):
+    if touching.sum() < SMALLEST_FOOT * float((box.max(axis=0) - box.min(axis=0) + 1).prod()):
         return False
-    centre = np.argwhere(inside)[:, :2].mean(axis=0)
     _, pieces = ndimage.label(inside)
-    return bool(pieces == 1 and (touching.min(axis=0) <= centre).all() and (centre <= touching.max(axis=0)).all())
+    return bool(pieces == 1 and is_balanced(inside, touching))
