@@ -30,7 +30,10 @@ def main(arguments: list[str] | None = None) -> int:
     fit.add_argument("--steps", type=int, help="optimizer steps in all")
     fit.add_argument("--learning-rate", type=float)
     fit.add_argument("--seed", type=int)
-    fit.add_argument("--init-from", type=Path, metavar="RUN", help="begin with the weights of another run that fit")
+    fit.add_argument(
+        "--init-from", type=Path, metavar="RUN",
+        help="begin with the weights of another run that fit; reconstruction: or of models/NAME/VERSION",
+    )
     fit.add_argument(
         "--more", type=Path, action="append", default=[], metavar="DIR",
         help="train on this data set too; may be given again",
@@ -70,7 +73,9 @@ def _fit(options: argparse.Namespace) -> int:
     torch.set_num_threads(options.threads)
     changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
-    begin_from = options.init_from / "checkpoint.pt" if options.init_from else None
+    begin_from: Path | None = options.init_from
+    if begin_from is not None and not (begin_from / "manifest.json").exists():
+        begin_from = begin_from / "checkpoint.pt"
     try:
         if options.network == "deformation":
             config = chosen(DEFORMATION_PRESETS, options.preset, **changes)
