@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,13 @@ from training.networks.blocks import PlaneBlock, Stem
 from training.networks.reconstruction import ReconstructionNetwork
 
 _PRODUCTS = ("Conv", "Gemm", "MatMul")
+
+WEIGHT_RMS = 0.1
+"""Of a convolution before a normalisation, which makes its scale free: about that of weights after a long training.
+
+An optimizer's step is as long whatever the weights are. Those folded into their normalisation are down to 0.003, and
+200 steps at a rate of 1e-3 left nothing of them: validation IoU 0.79 to 0.73.
+"""
 
 
 def take_served_weights(
@@ -155,8 +162,11 @@ def _copy(parameter: Tensor, given: Tensor) -> None:
 
 @torch.no_grad()
 def _normalise(network: ReconstructionNetwork, views: Iterable[Float[Tensor, "batch 2 64 64 64"]]) -> None:
-    """Give every normalisation the moments of what comes to it, and scale and shift that undo them."""
-    sums = {norm: torch.zeros(3, norm.num_features, dtype=torch.float64) for norm in _norms(network)}
+    """Give every normalisation the moments of what comes to it, and scale and shift that undo them.
+
+    The convolutions before them are brought to `WEIGHT_RMS`; that is undone, too.
+    """
+    sums = {norm: torch.zeros(3, norm.num_features, dtype=torch.float64) for _, norm in _normalised(network)}
 
     def add_up(norm: nn.BatchNorm2d, given: tuple[Tensor, ...]) -> None:
         values = given[0].double().transpose(0, 1).flatten(1)
@@ -167,15 +177,21 @@ def _normalise(network: ReconstructionNetwork, views: Iterable[Float[Tensor, "ba
         network(batch)
     for hook in hooks:
         hook.remove()
-    for norm, (count, total, squares) in sums.items():
+    for (conv, norm), (count, total, squares) in zip(_normalised(network), sums.values(), strict=True):
         mean = total / count
         variance = (squares / count - mean**2).clamp_min(0)
+        scale = WEIGHT_RMS / conv.weight.double().square().mean().sqrt()
+        conv.weight.mul_(scale)
         assert norm.running_mean is not None and norm.running_var is not None
-        norm.running_mean.copy_(mean)
-        norm.running_var.copy_(variance)
-        norm.weight.copy_((variance + norm.eps).sqrt())
+        norm.running_mean.copy_(scale * mean)
+        norm.running_var.copy_(scale**2 * variance)
+        norm.weight.copy_((scale**2 * variance + norm.eps).sqrt() / scale)
         norm.bias.add_(mean.to(norm.bias.dtype))
 
 
-def _norms(network: nn.Module) -> list[nn.BatchNorm2d]:
-    return [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+def _normalised(network: nn.Module) -> Iterator[tuple[nn.Conv2d, nn.BatchNorm2d]]:
+    """Every convolution that is normalised, with its normalisation."""
+    for module in network.modules():
+        if isinstance(module, PlaneBlock | Stem):
+            assert isinstance(module.norm, nn.BatchNorm2d)
+            yield module.conv, module.norm

@@ -11,8 +11,9 @@ import torch
 from tests.training import tiny
 from training.data.batches import ViewSet
 from training.export import export_model
+from training.networks.blocks import PlaneBlock, Stem
 from training.networks.reconstruction import ReconstructionNetwork
-from training.networks.restored import take_served_weights
+from training.networks.restored import WEIGHT_RMS, take_served_weights
 from training.quantise import Graph, quantise
 
 
@@ -63,6 +64,15 @@ def test_normalising_by_the_batch_changes_nothing(served: Path, views: torch.Ten
     expected = network(views)
     answered = copy.deepcopy(network).train()(views)
     torch.testing.assert_close(answered, expected, atol=1e-3, rtol=1e-3)
+
+
+def test_weights_are_as_large_as_those_of_a_long_training(served: Path, views: torch.Tensor) -> None:
+    network = ReconstructionNetwork(tiny.RECONSTRUCTION)
+    take_served_weights(network, served, [views])
+    convolutions = [m.conv.weight for m in network.modules() if isinstance(m, PlaneBlock | Stem)]
+    assert convolutions
+    for weight in convolutions:
+        assert weight.square().mean().sqrt().item() == pytest.approx(WEIGHT_RMS, rel=1e-3)
 
 
 @torch.no_grad()
