@@ -16,6 +16,7 @@ from service.core.arrays import DepthImage, Occupancy, Probability, Vector3
 from service.core.camera import Intrinsics, pixel_to_point
 from service.core.condition import POISSON_RATIO_MAX, Condition, encode_condition, load_number
 from service.core.contact import snap_contact, surface_centres
+from service.core.covering import cover
 from service.core.depth import decode_depth, decode_mask
 from service.core.depth_crop import DepthCrop, crop_around
 from service.core.displacement import Field
@@ -38,7 +39,7 @@ from service.core.segmentation import segment
 from service.core.shapes import decode_shape, in_own_voxels
 from service.core.smoothing import smoothed
 from service.core.spread import Spread
-from service.core.voxels import cover, voxelize, voxelize_points
+from service.core.voxels import voxelize, voxelize_points
 from service.inference.deformation import DeformationModel
 from service.inference.reconstruction import ReconstructionModel
 from service.inference.spare_cores import Once

@@ -11,7 +11,6 @@ from jaxtyping import Float32, Float64
 from service.core.arrays import (
     GRID_SIZE,
     DepthImage,
-    Eights,
     Matrix3,
     Occupancy,
     Points,
@@ -234,48 +233,6 @@ def _readings_at(depth_m: DepthImage, pixels: Float64[np.ndarray, "n 2"]) -> Flo
     inside = (column >= 0) & (column < depth_m.shape[1]) & (row >= 0) & (row < depth_m.shape[0])
     column, row = (np.where(inside, place, 0.0).astype(np.intp) for place in (column, row))
     return np.where(inside, depth_m[row, column], np.float32(np.nan))
-
-
-def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
-    """Add the observed voxels that have no filled voxel among their 26 neighbours.
-
-    A surface passes between voxel centres, so about half of the observed voxels belong to the body and half do not;
-    filling all of them would fatten it by half a voxel. Farther than one voxel off the body, a measured point shows
-    something that the body lacks.
-    """
-    filled, shown = np.ascontiguousarray(occupancy), np.ascontiguousarray(observed)
-    covered = filled.copy()
-    _cover(filled, shown, filled.view(np.uint64), shown.view(np.uint64), covered)
-    return covered
-
-
-@compiled
-def _cover(
-    occupancy: Occupancy, observed: Occupancy, filled_eights: Eights, observed_eights: Eights, covered: Occupancy
-) -> None:
-    """Fill the observed voxels that are not filled and have no filled neighbour."""
-    for i in range(GRID_SIZE):
-        for j in range(GRID_SIZE):
-            missing = np.uint64(0)
-            for eight in range(GRID_SIZE // 8):
-                missing |= observed_eights[i, j, eight] & ~filled_eights[i, j, eight]
-            if missing == 0:
-                continue
-            for k in range(GRID_SIZE):
-                if observed[i, j, k] and not occupancy[i, j, k]:
-                    covered[i, j, k] = not _is_near(occupancy, i, j, k)
-
-
-@compiled
-def _is_near(occupancy: Occupancy, i: int, j: int, k: int) -> bool:
-    """Whether a voxel or one of its 26 neighbours is filled."""
-    last = GRID_SIZE - 1
-    for x in range(max(i - 1, 0), min(i + 1, last) + 1):
-        for y in range(max(j - 1, 0), min(j + 1, last) + 1):
-            for z in range(max(k - 1, 0), min(k + 1, last) + 1):
-                if occupancy[x, y, z]:
-                    return True
-    return False
 
 
 def voxelize(

@@ -24,9 +24,9 @@ import numpy as np
 import onnxruntime
 
 from service.core.arrays import Occupancy, Probability
+from service.core.covering import cover
 from service.core.grids import unpack_bits
 from service.core.manifest import Manifest
-from service.core.voxels import cover
 from training.data.batches import split_of
 from training.data.store import Store
 from training.data.views import HOLLOW, ViewsConfig, draw_view
