@@ -25,11 +25,12 @@ from matplotlib.figure import Figure  # noqa: E402
 
 from service.core.alignment import HORIZONTAL_FILL, VERTICAL_FILL, body_grid, resample  # noqa: E402
 from service.core.camera import make_intrinsics, pixel_to_point  # noqa: E402
+from service.core.covering import cover  # noqa: E402
 from service.core.depth import decode_depth  # noqa: E402
 from service.core.materials import material_named  # noqa: E402
 from service.core.messages import DeformRequest, EncodedImage, Load, Observation  # noqa: E402
 from service.core.segmentation import segment  # noqa: E402
-from service.core.voxels import cover, voxelize, voxelize_points  # noqa: E402
+from service.core.voxels import voxelize, voxelize_points  # noqa: E402
 from service.inference.registry import Models, load_models  # noqa: E402
 from service.picture.raycast import view_from_camera  # noqa: E402
 from service.picture.shading import solid, voxels  # noqa: E402
