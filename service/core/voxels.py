@@ -65,7 +65,7 @@ class VoxelView:
         """Layers of voxels, from the floor up, that the object can fill.
 
         A camera that stands higher than all it sees of the object sees its highest point too: what could hide it would
-        be higher still. One layer is left for readings that are missing along the rim.
+        be higher still.
         """
         # One axis after the other takes a sixth of the time of both at once.
         seen = np.flatnonzero(self.observed.any(axis=0).any(axis=0))
@@ -73,7 +73,7 @@ class VoxelView:
             return GRID_SIZE
         above = int(seen[-1]) + 1
         camera_height = float(self.grid.grid_from_camera[2, 3]) / self.grid.pitch_m
-        return min(above + 1, GRID_SIZE) if camera_height > above else GRID_SIZE
+        return above if camera_height > above else GRID_SIZE
 
 
 def rule_out(probability: Probability, view: VoxelView) -> None:

@@ -159,7 +159,7 @@ def test_what_was_measured_empty_is_ruled_out_and_nothing_else() -> None:
     view = VoxelView(view.grid, view.observed, rng.random((64, 64, 64)) < 0.4)
     ruled = probability.copy()
     rule_out(ruled, view)
-    empty = view.free | (np.arange(64) >= 32)
+    empty = view.free | (np.arange(64) >= 31)
     np.testing.assert_array_equal(ruled, np.where(empty, np.float32(0.0), probability))
 
 
@@ -172,7 +172,7 @@ def seen_from(camera_height_voxels: float, top: int) -> VoxelView:
     return VoxelView(Grid(pitch_m=0.01, camera_from_grid=camera_from_grid), observed, ~observed & False)
 
 
-@pytest.mark.parametrize(("camera_height", "layers"), [(80.0, 32), (31.5, 32), (30.5, 64), (-5.0, 64)])
+@pytest.mark.parametrize(("camera_height", "layers"), [(80.0, 31), (31.5, 31), (30.5, 64), (-5.0, 64)])
 def test_nothing_stands_higher_than_a_camera_above_saw(camera_height: float, layers: int) -> None:
     assert seen_from(camera_height, top=30).layers == layers
 
