@@ -40,6 +40,9 @@ THRESHOLDS = (0.3, 0.35, 0.4, 0.45, 0.48, 0.5, 0.55, 0.6, 0.65, 0.7, 0.8)
 SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 """Candidates for the share of the network's correction that is served."""
 
+CORRECTION_SHARE = "correction_share"
+"""The figure that tells which of them was tuned."""
+
 MOVED = 0.95
 """Samples whose undeformed body overlaps the deformed one by more than this have no room for skill to show in."""
 
@@ -240,10 +243,17 @@ def as_served(
     """
     tuned: Figures = {}
     if isinstance(network, DeformationNetwork) and network.config.prior:
-        tuned["correction_share"] = tune_share(network, validation)
-        network = shrunk(network, tuned["correction_share"])
+        tuned[CORRECTION_SHARE] = tune_share(network, validation)
+        network = as_tuned(network, tuned)
         threshold = threshold or EVEN
     return network, threshold or tune_threshold(network, validation), tuned
+
+
+def as_tuned(network: Deforming, figures: Figures) -> Deforming:
+    """The network with the share of its correction that these figures of it tell; itself where they tell of none."""
+    if not isinstance(network, DeformationNetwork) or CORRECTION_SHARE not in figures:
+        return network
+    return shrunk(network, figures[CORRECTION_SHARE])
 
 
 def evaluate(checkpoint: Path, data: Path, split: str, threshold: float | None = None) -> tuple[float, dict[str, Any]]:

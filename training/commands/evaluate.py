@@ -67,7 +67,7 @@ def _report(options: argparse.Namespace, found: dict[str, Any]) -> None:
     text = f"# {options.run_folder.name} on {options.data.name}\n\n| all samples | |\n|---|---|\n{figures}"
     pictures: dict[str, bytes] = {}
     if "samples_moved" in found:
-        compared, tables, pictures = _beside_rivals(options)
+        compared, tables, pictures = _beside_rivals(options, found)
         found, text = {**found, "comparison": compared}, f"{text}\n{tables}"
         print(f"\n{tables}", end="")
     options.out.mkdir(parents=True, exist_ok=True)
@@ -77,24 +77,26 @@ def _report(options: argparse.Namespace, found: dict[str, Any]) -> None:
         (options.out / name).write_bytes(picture)
 
 
-def _beside_rivals(options: argparse.Namespace) -> tuple[dict[str, Any], str, dict[str, bytes]]:
-    """What was found of a deformation network and its rivals, as tables, and the pictures by name."""
+def _beside_rivals(
+    options: argparse.Namespace, figures: dict[str, Any]
+) -> tuple[dict[str, Any], str, dict[str, bytes]]:
+    """What was found of a deformation network, served as its figures say, and of its rivals; the pictures by name."""
     import torch
 
     from training.comparison import compare, contenders, deforming, markdown, report
     from training.comparison_pictures import curves, frontier, worst
     from training.comparison_splits import CELLS, held_out, other_bodies, splits_markdown
     from training.data.batches import DeformationSet, spread_rows
-    from training.evaluate import as_served
+    from training.evaluate import as_tuned
     from training.networks.checkpoint import load_network
 
     torch.set_num_threads(1)  # as many as a finite element solve here has
     validation = DeformationSet.load(options.data, "validation")
-    network, threshold, _ = as_served(deforming(load_network(options.run_folder / "checkpoint.pt")[0]), validation)
+    network = as_tuned(deforming(load_network(options.run_folder / "checkpoint.pt")[0]), figures)
     training = DeformationSet.load(options.data, "train", prior=False)
     samples = DeformationSet.load(options.data, options.split)
-    rivals = contenders(network, threshold, training, options.cells, options.nonlinear_cells)
-    few = contenders(network, threshold, training, CELLS)
+    rivals = contenders(network, figures["threshold"], training, options.cells, options.nonlinear_cells)
+    few = contenders(network, figures["threshold"], training, CELLS)
     splits = [
         *(other_bodies(data, few, options.samples) for data in options.also),
         *(held_out(run, rivals[-1], training, validation, samples, options.samples) for run in options.held_out),

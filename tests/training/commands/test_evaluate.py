@@ -5,10 +5,13 @@ from pathlib import Path
 import cv2
 import pytest
 
+import training.evaluate
 from tests.training import tiny
 from training.__main__ import main
 from training.configs import HeldOut
+from training.data.batches import DeformationSet
 from training.data.contact_sheet import TILE
+from training.networks.deformation import DeformationNetwork
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +62,26 @@ def test_a_report_holds_figures_rivals_splits_and_pictures(
     sheet = cv2.imread(str(out / "worst.png"))
     assert sheet.shape == (2 * TILE, 2 * TILE, 3)  # two samples, true and given
     assert (sheet < 250).any(axis=2).mean() > 0.05
+
+
+def test_the_share_of_the_correction_is_tuned_once_and_is_that_of_the_report(
+    data: Path, run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a correction that is told not at all the coarse solve is left."""
+    tuned = []
+
+    def nothing(_: DeformationNetwork, samples: DeformationSet) -> float:
+        tuned.append(len(samples))
+        return 0.0
+
+    monkeypatch.setattr(training.evaluate, "tune_share", nothing)
+    arguments = ["evaluate", "--run", str(run), "--data", str(data), "--out", str(tmp_path / "out"), "--cells"]
+    assert main([*arguments, "--samples", "2"]) == 0
+    assert tuned == [len(DeformationSet.load(data, "validation"))]
+    found = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert found["correction_share"] == 0.0
+    rows = found["comparison"]["bands"]["all"]
+    assert rows["network"]["displacement_error"] == pytest.approx(rows["coarse solve alone"]["displacement_error"])
 
 
 def test_a_report_of_views_holds_their_figures(tmp_path: Path) -> None:
