@@ -27,7 +27,7 @@ from onnxruntime.quantization.shape_inference import quant_pre_process
 from torch import Tensor
 
 from service.core.manifest import Manifest
-from training.data.batches import ViewSet
+from training.data.batches import ViewSet, spread_rows
 from training.evaluate import evaluate_reconstruction
 from training.export import ExportError, write_manifest
 from training.metrics import iou
@@ -127,7 +127,7 @@ def _last_products(graph: onnx.GraphProto) -> list[str]:
 def mean_iou(graph: Graph, views: ViewSet, threshold: float, count: int = CHECKED_VIEWS) -> float:
     """Over an evenly spread part of the views; free space overrules the graph, as in the service."""
     scores = []
-    for row in _spread(views, count):
+    for row in spread_rows(len(views), count):
         batch = views.batch(np.array([row]))
         filled = (torch.sigmoid(graph(batch.view)) > threshold) & (batch.view[:, 1] < 0.5)
         scores.append(iou(filled.numpy(), batch.truth.numpy() > 0.5))
@@ -138,16 +138,12 @@ class _Views(CalibrationDataReader):  # type: ignore[misc]
     """Inputs one by one, as the quantiser asks for them."""
 
     def __init__(self, views: ViewSet, count: int) -> None:
-        self._left: Iterator[int] = iter(_spread(views, count))
+        self._left: Iterator[int] = iter(spread_rows(len(views), count).tolist())
         self._views = views
 
     def get_next(self) -> dict[str, np.ndarray] | None:
         row = next(self._left, None)
         return None if row is None else {"view": self._views.batch(np.array([row])).view.numpy()}
-
-
-def _spread(views: ViewSet, count: int) -> list[int]:
-    return [int(row) for row in np.unique(np.linspace(0, len(views) - 1, count).astype(int))]
 
 
 @contextlib.contextmanager

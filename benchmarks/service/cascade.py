@@ -29,7 +29,7 @@ from service.core.messages import DeformRequest, EncodedImage, Load, Observation
 from service.inference.registry import load_models
 from service.pipeline import Pipeline
 from service.settings import Settings
-from training.data.batches import split_of
+from training.data.batches import split_of, spread_rows
 from training.data.generate import Dropped
 from training.data.pushed_views import PushedViewsConfig, frames, moved_condition
 from training.data.store import Store
@@ -124,7 +124,7 @@ def judge(config: PushedViewsConfig, rivals: Rivals, most: int | None = None) ->
     store = Store(Path(config.bodies))
     indices = sorted(int(path.stem) for path in (store.root / "groups").glob("*.npz"))
     indices = [index for index in indices if split_of(index) == "test"]
-    chosen = np.unique(np.linspace(0, len(indices) - 1, min(most or len(indices), len(indices))).astype(int))
+    chosen = spread_rows(len(indices), min(most or len(indices), len(indices)))
     rows: list[dict[str, Any]] = []
     refused: list[str] = []
     left_out = 0

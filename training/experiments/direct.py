@@ -19,6 +19,7 @@ import numpy as np
 import torch
 
 from training.configs import FitConfig, OptimizerConfig
+from training.data.batches import spread_rows
 from training.data.generate import fill
 from training.data.pushed_views import Push, PushedViewsConfig, PushedViewSet, draw_group
 from training.data.store import Store
@@ -91,7 +92,7 @@ def fit_direct(data: Path, run: Run, config: FitDirectConfig, begin_from: Path |
 def _spread(samples: PushedViewSet, count: int) -> list[Push]:
     """An even part of all pushes."""
     every = [push for loads in samples.pushes for push in loads]
-    return [every[row] for row in np.unique(np.linspace(0, len(every) - 1, count).astype(int))]
+    return [every[row] for row in spread_rows(len(every), count)]
 
 
 @torch.no_grad()

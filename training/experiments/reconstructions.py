@@ -27,7 +27,7 @@ from service.core.arrays import Occupancy, Probability
 from service.core.covering import cover
 from service.core.grids import unpack_bits
 from service.core.manifest import Manifest
-from training.data.batches import split_of
+from training.data.batches import split_of, spread_rows
 from training.data.store import Store
 from training.data.views import HOLLOW, ViewsConfig, draw_view
 from training.experiments.conditions import CIRCUMSTANCES, views_under
@@ -78,7 +78,7 @@ def views_of_set(root: Path, split: str, most: int | None = None) -> Iterator[Vi
     """Views of a split, an even part of it if there are more than asked for."""
     groups = [(index, group) for index, group in Store(root).groups() if split in ("all", split_of(index))]
     places = [(index, group, row) for index, group in groups for row in range(len(group["sample"]))]
-    chosen = np.unique(np.linspace(0, len(places) - 1, min(most or len(places), len(places))).astype(int))
+    chosen = spread_rows(len(places), min(most or len(places), len(places)))
     for _, group, row in (places[i] for i in chosen):
         family = str(group["family"])
         kinds = ["all", "thin" if group.get("thin", False) else "solid", family]
