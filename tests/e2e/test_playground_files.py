@@ -59,8 +59,8 @@ class Hand:
         self._devtools = visit.context.new_cdp_session(visit.page)
         self._data = {"items": [], "files": [str(path) for path in files], "dragOperationsMask": 1}
 
-    def do(self, kind: str) -> None:
-        drag = {"type": kind, "x": 300, "y": 300, "data": self._data}
+    def do(self, kind: str, x: int = 300, y: int = 300) -> None:
+        drag = {"type": kind, "x": x, "y": y, "data": self._data}
         self._devtools.send("Input.dispatchDragEvent", drag)
 
     def drop(self) -> None:
@@ -112,3 +112,26 @@ def test_files_are_dropped_onto_the_page(visit: Visit, tmp_path: Path):
     assert "616.4" in camera.inner_text() and "assumed" not in camera.inner_text()
     assert re.search(r"Object 0\.4\d to 0\.5\d m", page.inner_text("#depth-range"))
     assert page.url.rstrip("/") == visit.url
+
+
+def test_the_sign_stays_over_the_page_and_goes_with_a_drag_that_leaves_it(visit: Visit):
+    page = visit.open().page
+    page.wait_for_selector("#link[data-state=open]")
+    sign = page.locator("#drop")
+    assert sign.is_hidden()
+    hand = Hand(visit, MUG / "depth.png")
+    hand.do("dragEnter")
+    sign.wait_for()
+    # From element to element of the page: each is left for the next.
+    page.evaluate("""() => {
+        window.left = 0;
+        addEventListener('dragleave', event => window.left += event.relatedTarget !== null);
+    }""")
+    for x, y in ((20, 20), (300, 300), (900, 580)):
+        hand.do("dragOver", x, y)
+    visit.until("window.left >= 2")
+    assert sign.is_visible()
+    hand.do("dragOver", -10, -10)
+    sign.wait_for(state="hidden")
+    # Nothing was taken.
+    assert visit.answers() == 0 and page.is_visible("#empty")
