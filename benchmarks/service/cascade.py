@@ -30,10 +30,10 @@ from service.inference.registry import load_models
 from service.pipeline import Pipeline
 from service.settings import Settings
 from training.data.batches import split_of, spread_rows
+from training.data.frames import Frame
 from training.data.generate import Dropped
 from training.data.pushed_views import PushedViewsConfig, frames, moved_condition
 from training.data.store import Store
-from training.data.views import Frame
 from training.evaluate import MOVED
 from training.experiments.direct import REALTIME, trained
 from training.metrics import iou, skill

@@ -11,7 +11,7 @@ from tests.training.tiny import sheared
 from training.data.body_cube import place_in_body_grid
 from training.data.pushed_views import PushedViewsConfig, draw_group
 from training.data.store import Store
-from training.data.views import ViewsConfig
+from training.data.views_config import ViewsConfig
 from training.metrics import iou
 from training.simulation.families import sample_shape
 from training.simulation.grid_body import filled, sampled

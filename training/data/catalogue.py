@@ -16,7 +16,7 @@ from training.data.meshes import MeshesConfig
 from training.data.paper import PaperConfig
 from training.data.partial_views import PartialViewsConfig
 from training.data.samples import YOUNG_MAX_PA
-from training.data.views import ROUND_FOOTED, ViewsConfig
+from training.data.views_config import ROUND_FOOTED, ViewsConfig
 from training.simulation.families import FAMILIES
 
 CYLINDER_LIKE = ("cylinder", "can", "tube", "bottle", "vase", "cup", "capsule")

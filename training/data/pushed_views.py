@@ -20,9 +20,10 @@ from service.core.condition import Condition, encode_condition
 from service.core.grids import Grid, pack_bits, unpack_bits
 from training.data.batches import split_of, unpack
 from training.data.body_cube import place_in_body_grid
+from training.data.frames import Frame, draw_frame
 from training.data.generate import Dropped
 from training.data.store import Store
-from training.data.views import Frame, ViewsConfig, draw_frame
+from training.data.views_config import ViewsConfig
 from training.metrics import iou
 from training.simulation.distance_grid import DistanceGrid
 from training.simulation.families import OPEN_VESSELS, sample_shape

@@ -16,7 +16,8 @@ from service.core.camera import Intrinsics
 from service.core.errors import PhysNetError
 from service.core.segmentation import segment
 from service.core.voxels import VoxelView, voxelize
-from training.data.views import Frame, Hints, ViewsConfig, draw_view
+from training.data.frames import Frame, Hints, draw_view
+from training.data.views_config import ViewsConfig
 from training.simulation.camera import Viewpoint, direction, look_at, render
 from training.simulation.distance_grid import DistanceGrid
 from training.simulation.families import FAMILIES, sample_shape

@@ -28,8 +28,9 @@ from service.core.covering import cover
 from service.core.grids import unpack_bits
 from service.core.manifest import Manifest
 from training.data.batches import split_of, spread_rows
+from training.data.frames import draw_view
 from training.data.store import Store
-from training.data.views import HOLLOW, ViewsConfig, draw_view
+from training.data.views_config import HOLLOW, ViewsConfig
 from training.experiments.conditions import CIRCUMSTANCES, views_under
 from training.metrics import iou, visible_and_occluded_iou
 from training.simulation.grid_body import sampled, scaled

@@ -8,11 +8,9 @@ import pytest
 
 from service.core.grids import unpack_bits
 from training.data.generate import Dropped
-from training.data.views import TIPPABLE, ViewsConfig, _frayed, _scene, draw_group
+from training.data.views import draw_group
+from training.data.views_config import TIPPABLE, ViewsConfig
 from training.metrics import iou
-from training.simulation.camera import Rendering, render, sample_viewpoint
-from training.simulation.shapes import stand
-from training.simulation.shapes.primitives import Box
 
 CONFIG = ViewsConfig(seed=0, views=2)
 
@@ -104,44 +102,5 @@ def test_the_way_a_body_is_drawn_is_told() -> None:
     assert any(group["pose"] > 0 for group in found)
 
 
-def test_a_mask_of_a_detector_is_off_by_a_few_pixels() -> None:
-    mask = np.zeros((60, 80), bool)
-    mask[20:40, 30:50] = True
-    frayed = [_frayed(mask, np.random.default_rng(seed)) for seed in range(20)]
-    assert all(mask[24:36, 34:46].any() and (one[24:36, 34:46]).all() for one in frayed)
-    assert not any(one[:15].any() or one[45:].any() or one[:, :25].any() or one[:, 55:].any() for one in frayed)
-    assert len({one.tobytes() for one in frayed}) > 10
-
-
 def test_sizes_are_those_asked_for(group: dict[str, np.ndarray]) -> None:
     assert ((group["sample"][:, 1] > 0.04) & (group["sample"][:, 1] < 0.6)).all()
-
-
-def scene(config: ViewsConfig, seed: int) -> tuple[Rendering, Rendering]:
-    """A box in a scene of this configuration, and the same box alone on an endless plane."""
-    shape = stand("box", Box((0.05, 0.04, 0.08)))
-    viewpoint = sample_viewpoint(shape.bounds, np.random.default_rng(seed))
-    return _scene(shape, viewpoint, config, np.random.default_rng(seed)), render(shape, *viewpoint)
-
-
-def test_occluders_hide_a_part_of_the_object() -> None:
-    config = ViewsConfig(clutter=1.0, occluder=1.0, table=0.0)
-    hidden = []
-    for seed in range(3):
-        found, alone = scene(config, seed)
-        assert not (found.mask & ~alone.mask).any()
-        lost = alone.mask & ~found.mask
-        assert (found.depth_m[lost] < alone.depth_m[lost]).all(), "what hides it is nearer"
-        hidden.append(lost.sum() / alone.mask.sum())
-    # Some bodies hide too much or nothing wherever they stand; those are left out.
-    assert sum(config.hidden[0] <= part <= config.hidden[1] for part in hidden) >= 2
-    # What it hides was told from a picture a quarter as wide.
-    assert max(hidden) <= config.hidden[1] + 0.05
-
-
-def test_clutter_beside_the_object_is_seen_and_tables_end() -> None:
-    beside, alone = scene(ViewsConfig(clutter=1.0, occluder=0.0, table=0.0), 2)
-    assert (beside.depth_m < alone.depth_m - 1e-3).sum() > 200
-    ended, _ = scene(ViewsConfig(clutter=0.0, table=1.0), 2)
-    np.testing.assert_array_equal(ended.mask, alone.mask)
-    assert np.isnan(ended.depth_m).sum() > np.isnan(alone.depth_m).sum() + 1000
