@@ -24,6 +24,7 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
+from training.evaluate import CORRECTION_SHARE
 from training.networks.blocks import Stem
 from training.networks.checkpoint import load_network
 from training.networks.deformation import DeformationConfig, DeformationNetwork, shrunk
@@ -126,7 +127,7 @@ def export_model(
     """
     network, state = load_network(checkpoint)
     if isinstance(network, DeformationNetwork):
-        network = shrunk(network, evaluation.get("correction_share", 1.0))
+        network = shrunk(network, evaluation.get(CORRECTION_SHARE, 1.0))
     if isinstance(network, ReconstructionNetwork):
         network = tempered(network, evaluation.get("temperature", 1.0))
     kind, parts = _parts(network)
