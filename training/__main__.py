@@ -73,9 +73,7 @@ def _fit(options: argparse.Namespace) -> int:
     torch.set_num_threads(options.threads)
     changes = {key: getattr(options, key) for key in ("steps", "learning_rate", "seed")}
     run = Run(options.run_folder)
-    begin_from: Path | None = options.init_from
-    if begin_from is not None and not (begin_from / "manifest.json").exists():
-        begin_from = begin_from / "checkpoint.pt"
+    begin_from = _beginning(options.network, options.init_from)
     try:
         if options.network == "deformation":
             config = chosen(DEFORMATION_PRESETS, options.preset, **changes)
@@ -90,6 +88,13 @@ def _fit(options: argparse.Namespace) -> int:
         print("stopped; the same command goes on from the last checkpoint", file=sys.stderr)
         return 130
     return 0
+
+
+def _beginning(network: str, folder: Path | None) -> Path | None:
+    """The checkpoint of a run, or the folder of a model that is served, which reconstruction can begin with, too."""
+    if folder is None or (network == "reconstruction" and (folder / "manifest.json").exists()):
+        return folder
+    return folder / "checkpoint.pt"
 
 
 def _export(options: argparse.Namespace) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -249,7 +249,7 @@ def as_served(
     return network, threshold or tune_threshold(network, validation), tuned
 
 
-def as_tuned(network: Deforming, figures: Figures) -> Deforming:
+def as_tuned(network: Deforming, figures: Mapping[str, Any]) -> Deforming:
     """The network with the share of its correction that these figures of it tell; itself where they tell of none."""
     if not isinstance(network, DeformationNetwork) or CORRECTION_SHARE not in figures:
         return network

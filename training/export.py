@@ -24,10 +24,10 @@ from service.core.contract import CONDITION_CONTRACT, GRID_CONTRACT
 from service.core.manifest import Manifest, TensorSpec
 from service.core.prior_lattice import LATTICE_SIZE
 from training.data.store import code_version
-from training.evaluate import CORRECTION_SHARE
+from training.evaluate import as_tuned
 from training.networks.blocks import Stem
 from training.networks.checkpoint import load_network
-from training.networks.deformation import DeformationConfig, DeformationNetwork, shrunk
+from training.networks.deformation import DeformationConfig, DeformationNetwork
 from training.networks.reconstruction import ReconstructionNetwork, tempered
 
 OPSET = 20
@@ -127,7 +127,7 @@ def export_model(
     """
     network, state = load_network(checkpoint)
     if isinstance(network, DeformationNetwork):
-        network = shrunk(network, evaluation.get(CORRECTION_SHARE, 1.0))
+        network = as_tuned(network, evaluation)
     if isinstance(network, ReconstructionNetwork):
         network = tempered(network, evaluation.get("temperature", 1.0))
     kind, parts = _parts(network)

@@ -92,7 +92,8 @@ def _take(network: ReconstructionNetwork | RecGan, begin_from: Path, views: View
     if not isinstance(network, ReconstructionNetwork):
         raise ValueError(f"{begin_from} is a model that is served; only the networks that are served begin with one")
     rows = spread_rows(len(views), MEASURED_VIEWS)
-    return take_served_weights(network, begin_from, (views.batch(part).view for part in np.array_split(rows, 32)))
+    parts = np.array_split(rows, max(1, len(rows) // 8))
+    return take_served_weights(network, begin_from, (views.batch(part).view for part in parts))
 
 
 @torch.no_grad()

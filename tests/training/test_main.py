@@ -1,14 +1,17 @@
 """The command line, in-process: what it prints, writes and returns."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 from service.inference.artefacts import read_manifest
 from service.inference.registry import load_models
 from tests.training import tiny
 from training.__main__ import main
+from training.configs import RECONSTRUCTION_PRESETS
 from training.data.generate import THREAD_VARIABLES
 from training.data.store import Store
 
@@ -73,6 +76,29 @@ def test_a_folder_without_a_data_set_is_named(
     error = capsys.readouterr().err
     assert error.startswith("physnet-train: ")
     assert str(tmp_path / "nothing") in error
+
+
+def test_reconstruction_goes_on_from_a_served_model_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(RECONSTRUCTION_PRESETS, "realtime", replace(RECONSTRUCTION_PRESETS["realtime"], batch=2))
+    data, run, served = tiny.write_views(tmp_path / "views"), tmp_path / "run", shipped("reconstruction-realtime")
+    arguments = ["--data", str(data), "--run", str(run), "--threads", "1", "--steps", "1", "--init-from", str(served)]
+    assert main(["fit", "reconstruction", *arguments]) == 0
+    config = torch.load(run / "checkpoint.pt", weights_only=True)["config"]
+    assert config["begun_from"].startswith(f"reconstruction-realtime {served.name} as it is served, of run ")
+
+
+def test_deformation_begins_with_runs_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data, served = tiny.write_deformations(tmp_path / "everyday"), shipped("deformation-realtime")
+    arguments = ["--data", str(data), "--run", str(tmp_path / "run"), "--threads", "1", "--init-from", str(served)]
+    assert main(["fit", "deformation", *arguments]) == 1
+    assert str(served / "checkpoint.pt") in capsys.readouterr().err
+
+
+def shipped(name: str) -> Path:
+    (folder,) = (Path(__file__).parents[2] / "models" / name).iterdir()
+    return folder
 
 
 @pytest.mark.parametrize("command", ["evaluate", "export"])
