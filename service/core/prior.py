@@ -16,12 +16,12 @@ from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
 
-CELLS = 216
-"""Cells laid over the bounding box of a body. With 125 the skill on 70 unseen bodies is 0.674, with 216 0.709, with 343
-0.694 and with 512 0.715."""
+CELLS = 300
+"""Cells with material that a body is cut into: bodies with legs and walls fill few of those over their box. docs/runs.md
+tells what other numbers give."""
 
-STEPS = 6
-"""Corrections of large rotations. With 3 the skill on the same bodies is 0.695."""
+STEPS = 24
+"""Corrections of large rotations at most."""
 
 
 Nodal = Float32[np.ndarray, "loads axis=3 n"]
@@ -50,7 +50,7 @@ class ElasticPrior:
         occupancy: The body in its body grid, z up. It stands on its lowest voxels; what is not connected to them is
             left out.
         poisson_ratio: ν; above 0.49 it is taken as 0.49, as everywhere.
-        cells: Cells over the bounding box.
+        cells: Cells with material, about.
 
     Raises:
         ValueError: The body is empty.

@@ -14,6 +14,7 @@ from jaxtyping import Float, Float32, Float64, Int, UInt8
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
+from service.core.prior_division import divide
 from service.core.prior_moments import GAUSS_3, Weights, quadrature_weights
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
@@ -63,7 +64,7 @@ class CellGrid:
 
     @classmethod
     def fit(cls, occupancy: Occupancy, cells: int) -> CellGrid:
-        """Lay about `cells` cells over the bounding box of a body.
+        """Lay cells over the bounding box of a body of which about `cells` hold material.
 
         Raises:
             ValueError: The body is empty.
@@ -74,9 +75,7 @@ class CellGrid:
         first, end = filled
         low = np.array(first) / GRID_SIZE
         extent = np.array(end) / GRID_SIZE - low
-        width = (extent.prod() / cells) ** (1.0 / 3.0)
-        shape = np.maximum(np.round(extent / width), 1).astype(int)
-        nx, ny, nz = shape.tolist()
+        nx, ny, nz = shape = divide(occupancy, first, end, cells)
         weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
         kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
         inside = kept[1:-1, 1:-1, 1:-1]
@@ -91,7 +90,7 @@ class CellGrid:
         cell_of_box, chosen, nodes, corners, own = _number(kept, count, order, weights)
         floor_cells = np.flatnonzero(chosen[:, 2] == 0)
         return cls(
-            low=low, edges=extent / shape, shape=(nx, ny, nz), cells=chosen, weights=own, fill=own.sum(axis=0),
+            low=low, edges=extent / shape, shape=shape, cells=chosen, weights=own, fill=own.sum(axis=0),
             nodes=nodes, cell_nodes=corners, floor_cells=floor_cells,
             floor_weights=floor[:, chosen[floor_cells, 0], chosen[floor_cells, 1]], _cell_of_box=cell_of_box,
         )  # fmt: skip
@@ -142,11 +141,12 @@ def _add_at_nodes(
         least, ties = np.float32(np.inf), 0
         for c in range(len(cells)):
             least = min(least, _squared_distance(x, y, z, cells[c]))
+        least += np.float32(1e-5) * max(np.float32(1.0), least)
         for c in range(len(cells)):
-            if _squared_distance(x, y, z, cells[c]) < least + np.float32(1e-5):
+            if _squared_distance(x, y, z, cells[c]) < least:
                 ties += 1
         for c in range(len(cells)):
-            if _squared_distance(x, y, z, cells[c]) < least + np.float32(1e-5):
+            if _squared_distance(x, y, z, cells[c]) < least:
                 _add_to_cell(x, y, z, values[k] / np.float32(ties), cells[c], cell_nodes[c], result)
 
 

