@@ -165,7 +165,6 @@ class FitReconstructionConfig(FitConfig):
         overrule: Whether voxels seen to be free count as empty whatever the network says, as they do where it is
             served; else it is asked to say so itself.
         augmentation: How views are changed before they are learned from; None leaves them but for mirror images.
-        bfloat16: Whether the products of a step are taken in 16 bits; weights and sums stay in 32.
     """
 
     network: ReconstructionKind = field(default_factory=ReconstructionConfig)
@@ -173,7 +172,6 @@ class FitReconstructionConfig(FitConfig):
     iou_weight: float = 0.1
     overrule: bool = True
     augmentation: ViewAugmentation | None = None
-    bfloat16: bool = False
 
 
 REAL = ConditionConfig(encoding="real")

@@ -9,11 +9,10 @@ import torch
 from torch import nn
 
 from training.networks.build import build_saved
-from training.networks.growth import grow
 
 
 def take_weights(network: nn.Module, checkpoint: Path) -> str:
-    """Give a network the weights of another run wherever it is as large or larger (`grow`).
+    """Give a network the weights of another run wherever name and shape are the same.
 
     Returns:
         What was taken: run, step, data and the number of tensors.
@@ -22,13 +21,19 @@ def take_weights(network: nn.Module, checkpoint: Path) -> str:
         ValueError: Nothing fits.
     """
     state: dict[str, Any] = torch.load(checkpoint, weights_only=True)
-    taken = grow(network, state["network"])
-    if not taken:
+    own = network.state_dict()
+    fitting = {name: tensor for name, tensor in state["network"].items() if _same_shape(own.get(name), tensor)}
+    if not fitting:
         raise ValueError(f"no weight of {checkpoint} fits this network")
+    network.load_state_dict(fitting, strict=False)
     return (
         f"{checkpoint.parent.name} at step {state['step']}, trained on {state['dataset']['digest']}: "
-        f"{len(taken)} of {len(network.state_dict())} tensors"
+        f"{len(fitting)} of {len(own)} tensors"
     )
+
+
+def _same_shape(own: torch.Tensor | None, other: torch.Tensor) -> bool:
+    return own is not None and own.shape == other.shape
 
 
 def load_network(checkpoint: Path) -> tuple[nn.Module, dict[str, Any]]:

@@ -29,8 +29,7 @@ class ReconstructionConfig:
     Attributes:
         channels: On the way down and up.
         blocks: Residual blocks on the way down; up there is one at each size.
-        detail: Features of every column, through which the view reaches the answer at full resolution; each is told of
-            its neighbours once.
+        detail: Features of every single column, through which the view reaches the answer at full resolution.
     """
 
     channels: tuple[int, int, int, int] = (48, 128, 192, 224)
@@ -89,12 +88,8 @@ class ReconstructionNetwork(nn.Module):
         self.seen = nn.Linear(2 * SIZE, config.detail)
         self.spread = nn.Conv2d(config.channels[0], 4 * config.detail, 1, bias=False)
         self.activation = nn.LeakyReLU(LEAKY_SLOPE)
-        self.local = ResidualPlaneBlock(config.detail)
         self.detail = nn.Linear(config.detail, SIZE, bias=False)
         nn.init.zeros_(self.detail.weight)  # the coarse features answer first
-        for module in self.modules():
-            if isinstance(module, ResidualPlaneBlock):
-                nn.init.zeros_(module.block.norm.weight)  # a block begins as nothing: Goyal et al. 2017, section 5.1
 
     def forward(
         self, view: Float[Tensor, "batch 2 64 64 64"], told: Callable[[Tensor], Tensor] = lambda x: x
@@ -116,7 +111,6 @@ class ReconstructionNetwork(nn.Module):
             x = told(merge(torch.cat([up(x), passed.pop()], dim=1)))
         x = x.permute(0, 2, 3, 1)
         column = self.activation(self.seen(columns) + spoken(x, self.spread))
-        column = self.local(column.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
         (head,) = self.head
         assert isinstance(head, nn.Conv2d)
         logits: Tensor = spoken(x, head) + self.detail(column)

@@ -22,8 +22,7 @@ from torch import Tensor, nn
 
 from service.core.manifest import Manifest
 from training.networks.blocks import PlaneBlock, Stem
-from training.networks.growth import grow
-from training.networks.reconstruction import ReconstructionConfig, ReconstructionNetwork
+from training.networks.reconstruction import ReconstructionNetwork
 
 _PRODUCTS = ("Conv", "Gemm", "MatMul")
 
@@ -38,10 +37,10 @@ An optimizer's step is as long whatever the weights are. Those folded into their
 def take_served_weights(
     network: ReconstructionNetwork, folder: Path, views: Iterable[Float[Tensor, "batch 2 64 64 64"]]
 ) -> str:
-    """Give a network the weights of an exported model, in floats or in integers.
+    """Give a network the weights of an exported model of the same channels and blocks, in floats or in integers.
 
     Args:
-        network: At least as large as the model (`grow`). Left in evaluation.
+        network: Left in evaluation.
         folder: `models/<name>/<version>`.
         views: Batches by which activations are measured; a few hundred views are enough.
 
@@ -49,23 +48,18 @@ def take_served_weights(
         What was taken: the model, its version and the run that it came from.
 
     Raises:
-        ValueError: The model is no reconstruction network, or a larger one.
+        ValueError: The model is no reconstruction network of this configuration.
     """
     manifest = Manifest.from_json(json.loads((folder / "manifest.json").read_text()))
     graph = _folded(folder / manifest.graph)
     temperature = float(manifest.evaluation.get("temperature", 1.0))
     try:
         weights = _weights(graph)
-        served = ReconstructionNetwork(_config(weights)).eval()
         with torch.no_grad():
-            _put_in(served, weights, temperature)
+            _put_in(network, weights, temperature)
     except (KeyError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{folder} is no reconstruction network: {error}") from error
-    _normalise(served, views)
-    state = served.state_dict()
-    if len(grow(network, state)) < len(state):
-        raise ValueError(f"{folder} is larger than this configuration: {served.config}")
-    network.eval()
+        raise ValueError(f"{folder} is no reconstruction network of this configuration: {error}") from error
+    _normalise(network.eval(), views)
     return f"{manifest.name} {manifest.version} as it is served, of run {manifest.run}"
 
 
@@ -118,14 +112,6 @@ def _weights(graph: onnx.GraphProto) -> dict[str, tuple[Tensor, Tensor | None]]:
     return {_place(node.name): (value(node.input[1]), bias(node)) for node in products}
 
 
-def _config(weights: dict[str, tuple[Tensor, Tensor | None]]) -> ReconstructionConfig:
-    """Of the network that was exported."""
-    stem, *others = (weights[f"down.{level}.0{'.conv' if level else ''}"][0] for level in range(4))
-    channels = (stem.shape[1], *(weight.shape[0] for weight in others))
-    blocks = tuple(sum(f"down.{level}.{i}.block.conv" in weights for i in range(1, 100)) for level in range(4))
-    return ReconstructionConfig(channels, blocks, detail=weights["detail"][0].shape[0])  # type: ignore[arg-type]
-
-
 def _put_in(
     network: ReconstructionNetwork, weights: dict[str, tuple[Tensor, Tensor | None]], temperature: float
 ) -> None:
@@ -133,8 +119,6 @@ def _put_in(
     for name, module in network.named_modules():
         if isinstance(module, PlaneBlock | Stem):
             place = f"{name}.conv" if isinstance(module, PlaneBlock) else name
-            if name == "local.block" and place not in weights:
-                continue  # of before 0.6.0: a block that does nothing yet
             weight, bias = weights[place]
             if isinstance(module, Stem):
                 out, inputs, *kernel = module.conv.weight.shape
@@ -194,8 +178,6 @@ def _normalise(network: ReconstructionNetwork, views: Iterable[Float[Tensor, "ba
     for hook in hooks:
         hook.remove()
     for (conv, norm), (count, total, squares) in zip(_normalised(network), sums.values(), strict=True):
-        if not (conv.weight.any() and norm.weight.any()):
-            continue  # nothing comes of it yet
         mean = total / count
         variance = (squares / count - mean**2).clamp_min(0)
         scale = WEIGHT_RMS / conv.weight.double().square().mean().sqrt()

@@ -50,7 +50,7 @@ def test_the_papers_networks_come_back_with_their_encoding(tmp_path: Path) -> No
 
 
 def test_weights_are_taken_where_they_fit(tmp_path: Path) -> None:
-    """A narrower head stays as it was; the account names run, step, data and how much was taken."""
+    """A head of another width stays as it was; the account names run, step, data and how much was taken."""
     checkpoint = tiny.save_checkpoint(tiny.reconstruction_network(), tiny.FIT_RECONSTRUCTION, tmp_path / "first")
     torch.manual_seed(5)
     wider = ReconstructionNetwork(dataclasses.replace(tiny.RECONSTRUCTION, detail=7))

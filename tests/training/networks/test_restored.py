@@ -11,7 +11,7 @@ import torch
 from tests.training import tiny
 from training.data.batches import ViewSet
 from training.export import export_model
-from training.networks.blocks import PlaneBlock, ResidualPlaneBlock, Stem
+from training.networks.blocks import PlaneBlock, Stem
 from training.networks.reconstruction import ReconstructionNetwork
 from training.networks.restored import WEIGHT_RMS, take_served_weights
 from training.quantise import Graph, quantise
@@ -32,9 +32,6 @@ def trained(views: torch.Tensor) -> ReconstructionNetwork:
     """With normalisations that do something."""
     network = tiny.reconstruction_network().train()
     torch.nn.init.normal_(network.detail.weight, std=0.3)
-    for module in network.modules():
-        if isinstance(module, ResidualPlaneBlock):
-            torch.nn.init.normal_(module.block.norm.weight)
     with torch.no_grad():
         for _ in range(30):
             network(views)
@@ -57,13 +54,6 @@ def test_it_answers_as_before_the_export(trained: ReconstructionNetwork, served:
     expected = trained(views)
     assert expected.std() > 0.1
     torch.testing.assert_close(network(views), expected, atol=1e-4, rtol=1e-4)
-
-
-@torch.no_grad()
-def test_a_larger_network_begins_with_it(trained: ReconstructionNetwork, served: Path, views: torch.Tensor) -> None:
-    network = ReconstructionNetwork(replace(tiny.RECONSTRUCTION, channels=(6, 4, 7, 5), blocks=(1, 2, 0, 1), detail=40))
-    take_served_weights(network, served, [views])
-    torch.testing.assert_close(network(views), trained(views), atol=1e-4, rtol=1e-4)
 
 
 @torch.no_grad()
@@ -100,13 +90,13 @@ def test_integers_come_back_but_for_their_rounding(folder: Path, served: Path, v
     assert (network(views) - graph).abs().mean() < 0.1 * graph.std()
 
 
-def test_a_larger_model_is_refused(served: Path, views: torch.Tensor) -> None:
+def test_a_model_of_another_shape_is_refused(served: Path, views: torch.Tensor) -> None:
     network = ReconstructionNetwork(replace(tiny.RECONSTRUCTION, detail=3))
-    with pytest.raises(ValueError, match="is larger than this configuration"):
+    with pytest.raises(ValueError, match="no reconstruction network of this configuration"):
         take_served_weights(network, served, [views])
 
 
 def test_a_deformation_model_is_refused() -> None:
     shipped = next((Path(__file__).parents[3] / "models" / "deformation-realtime").iterdir())
-    with pytest.raises(ValueError, match="is no reconstruction network"):
+    with pytest.raises(ValueError, match="no reconstruction network of this configuration"):
         take_served_weights(ReconstructionNetwork(tiny.RECONSTRUCTION), shipped, [])
