@@ -16,9 +16,9 @@ from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
 
-CELLS = 300
-"""Cells with material that a body is cut into: bodies with legs and walls fill few of those over their box. docs/runs.md
-tells what other numbers give."""
+CELLS = 240
+"""Cells with material that a body is cut into, about: bodies with legs and walls fill few of those over their box.
+docs/runs.md tells what other numbers give."""
 
 STEPS = 24
 """Corrections of large rotations at most."""

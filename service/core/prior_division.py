@@ -21,7 +21,7 @@ NARROWEST = 2.0
 """Voxels that a cell is wide at least, about: what is narrower resolves how voxels round a body."""
 
 _ROUNDS = 3
-"""Of correcting the number of cells of the box; it is told to about a tenth then."""
+"""Of correcting the number of cells of the box."""
 
 
 def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Division:
@@ -36,14 +36,16 @@ def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Divisi
     size = np.subtract(end, first)
     most = max(min(float(size.prod()) / NARROWEST**3, float(LARGEST_SHARE * cells)), 1.0)
     words = np.ascontiguousarray(occupancy).view(np.uint64)
-    box = float(cells)
+    box, best, nearest = float(cells), (1, 1, 1), np.inf
     for _ in range(_ROUNDS):
         division = _division(size, min(box, most))
         held = _held(words, np.array(first), _cell_of_voxel(size, division), division)
-        if box >= most or abs(held - cells) < 0.1 * cells:
+        if (off := abs(np.log(held / cells))) < nearest:
+            best, nearest = division, off
+        if box >= most or off < 0.1:
             break
         box *= cells / held
-    return division
+    return best
 
 
 def _division(size: Int[np.ndarray, "3"], cells: float) -> Division:
@@ -55,7 +57,8 @@ def _division(size: Int[np.ndarray, "3"], cells: float) -> Division:
 def _cell_of_voxel(size: Int[np.ndarray, "3"], division: Division) -> Int[np.ndarray, "3 voxel=64"]:
     """Along each axis the cell that holds the centre of a voxel of the box."""
     centres = np.arange(GRID_SIZE) + 0.5
-    return np.minimum(centres * np.divide(division, size)[:, None], np.subtract(division, 1)[:, None]).astype(int)
+    cells = centres * np.divide(division, size)[:, None]
+    return np.asarray(np.minimum(cells, np.subtract(division, 1)[:, None]).astype(int))
 
 
 @compiled
