@@ -14,8 +14,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, Protocol, TypeAlias, TypeVar, runtime_checkable
 
 from service.core.errors import DeadlineExceeded, Overloaded
 from service.core.messages import DeformRequest, DeformResult
@@ -54,8 +53,19 @@ class Answer(Generic[Result]):
     queued_s: float
 
 
+Then: TypeAlias = Callable[[Answer[DeformResult]], Any]
+"""What the worker makes of an answer before it is told, such as a reply: it has the answer in its core's cache."""
+
+
+def as_it_is(answer: Answer[DeformResult]) -> DeformResult:
+    """For whoever wants to be told the answer itself."""
+    return answer.result
+
+
 class _Job(Generic[Result]):
-    def __init__(self, work: Callable[[], Result], deadline: float, loop: asyncio.AbstractEventLoop) -> None:
+    """`work` is given how long it has waited, in seconds."""
+
+    def __init__(self, work: Callable[[float], Result], deadline: float, loop: asyncio.AbstractEventLoop) -> None:
         self.work = work
         self.deadline = deadline
         self.loop = loop
@@ -113,9 +123,9 @@ class Scheduler:
         """Requests that wait for a worker."""
         return len(self._waiting)
 
-    async def submit(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
-        """Answer a request; see `call`."""
-        return await self.call(partial(self._predictor.predict, request), deadline)
+    async def submit(self, request: DeformRequest, deadline: float, then: Then = as_it_is) -> Answer[Any]:
+        """Answer a request with what `then` makes of the answer, in the same thread; raises as `call` does."""
+        return await self._done(self._job(request, deadline, then))
 
     async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
         """Do something in a worker thread. Cancelling the caller frees its place in the queue at once.
@@ -129,7 +139,15 @@ class Scheduler:
             DeadlineExceeded: The deadline passed before inference.
             PhysNetError: What `work` found wrong with the request.
         """
-        job = _Job(work, deadline, asyncio.get_running_loop())
+        return await self._done(_Job(lambda _: work(), deadline, asyncio.get_running_loop()))
+
+    def _job(self, request: DeformRequest, deadline: float, then: Then) -> _Job[Any]:
+        def work(queued_s: float) -> Any:
+            return then(Answer(self._predictor.predict(request), queued_s))
+
+        return _Job(work, deadline, asyncio.get_running_loop())
+
+    async def _done(self, job: _Job[Result]) -> Answer[Result]:
         self._enter(job)
         try:
             return await job.future
@@ -197,7 +215,9 @@ class Scheduler:
                 self._busy -= 1
                 if isinstance(outcome, Answer):
                     self._mean_s += SMOOTHING * (finished - started - self._mean_s)
-                self._changed.notify_all()
+                # Workers wait for what comes in; only a stop waits for what is done.
+                if self._closed:
+                    self._changed.notify_all()
             job.settle(outcome)
 
     def _next(self) -> _Job[Any] | None:
@@ -215,7 +235,8 @@ class Scheduler:
             return _too_late(started - job.submitted)
         # Whatever one request provokes is that request's answer: the worker must live for the next one.
         try:
-            return Answer(job.work(), started - job.submitted)
+            queued_s = started - job.submitted
+            return Answer(job.work(queued_s), queued_s)
         except Exception as error:
             return error
         except BaseException as error:
@@ -234,17 +255,21 @@ class Place:
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler = scheduler
-        self._newest: _Job[DeformResult] | None = None
+        self._newest: _Job[Any] | None = None
 
-    def offer(self, request: DeformRequest, deadline: float) -> asyncio.Future[Answer[DeformResult]]:
+    def offer(
+        self, request: DeformRequest, deadline: float, then: Then = as_it_is
+    ) -> asyncio.Future[Answer[Any]]:
         """Let a frame wait here; the one that still does is overtaken, and its future raises `Overtaken`.
+
+        What is answered is what `then` makes of the answer in the worker's thread.
 
         Raises:
             Overloaded: The queue is full or the service is shutting down; what was waiting here still is.
             DeadlineExceeded: The deadline (`time.monotonic()`) has passed already.
         """
         scheduler = self._scheduler
-        job = _Job(partial(scheduler._predictor.predict, request), deadline, asyncio.get_running_loop())
+        job = scheduler._job(request, deadline, then)
         if self._newest is not None:
             job.after = self._newest.future
         if scheduler._enter(job, instead_of=self._newest) and self._newest is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -9,10 +10,10 @@ from service.api.metrics import Metrics, State
 from service.api.tracing import NO_TRACER, Span, Tracer
 from service.core.errors import Overloaded
 from service.core.manifest import Manifest
-from service.core.messages import DeformRequest, DeformResult
+from service.core.messages import DeformRequest
 from service.inference.graph import Graph
 from service.reconstructions import Reconstructions
-from service.scheduler import Answer, Place, Result, Scheduler
+from service.scheduler import Answer, Place, Result, Scheduler, Then, as_it_is
 
 
 class Handler:
@@ -56,19 +57,19 @@ class Handler:
         self._manifests = tuple(manifests)
         self.metrics.models(manifests)
 
-    async def deform(self, request: DeformRequest, deadline: float) -> Answer[DeformResult]:
-        """Answer one request; see `Scheduler.submit`.
+    async def deform(self, request: DeformRequest, deadline: float, then: Then = as_it_is) -> Answer[Any]:
+        """Answer one request with what `then` makes of the answer; see `Scheduler.submit`.
 
         Raises:
             Overloaded: The models are still being loaded, or the queue is full.
             PhysNetError: What the scheduler or the predictor raises.
         """
-        return await self._opened().submit(request, deadline)
+        return await self._opened().submit(request, deadline, then)
 
     def answered(self, timing_ms: Mapping[str, float], span: Span) -> None:
-        """Count and trace the stages of an answer, which ends now."""
-        self.metrics.stages(timing_ms)
+        """Trace the stages of an answer, which ends now, and count them once its reply is written."""
         span.stages(timing_ms)
+        asyncio.get_running_loop().call_soon(self.metrics.stages, timing_ms)
 
     async def call(self, work: Callable[[], Result], deadline: float) -> Answer[Result]:
         """Do something else in a worker's turn; see `Scheduler.call`. Raises as `deform` does."""

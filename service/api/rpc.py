@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import asyncio
 import time
 from collections.abc import AsyncIterator, Mapping
+from functools import partial
 
-from service.api import convert, replies, rpc_convert
+from service.api import convert, rpc_convert
 from service.api.generated import deformation_pb2 as pb
 from service.api.handler import Handler
 from service.api.rpc_call import Calls, Context
 from service.api.rpc_stream import FrameStream
-from service.api.tracing import Span
 from service.core.errors import InvalidRequest, Overloaded, UnknownModel
 from service.core.materials import search_materials
 from service.core.messages import DeformRequest, DeformResult
@@ -35,8 +34,11 @@ class DeformationService:
         async with self._calls.call(context, f"/{SERVICE}/Deform") as call:
             question = self._question(request)
             parsed = time.perf_counter()
-            answer = await self._handler.deform(question, call.deadline)
-            return await self._response(answer, question, call.request_id, received, parsed, call.span)
+            response = pb.DeformResponse()
+            fill = partial(self._fill, response, question, call.request_id, received, parsed)
+            timing_ms = (await self._handler.deform(question, call.deadline, fill)).result
+            self._handler.answered(timing_ms, call.span)
+            return response
 
     async def DeformStream(  # noqa: N802
         self, frames: AsyncIterator[pb.DeformStreamRequest], context: Context
@@ -44,7 +46,7 @@ class DeformationService:
         """Frames in as they come, answers out; the newest frame wins."""
         async with self._calls.call(context, f"/{SERVICE}/DeformStream") as call:
             stream = FrameStream(
-                self._handler, self._settings, self._question, self._response, context.write, call
+                self._handler, self._settings, self._question, self._fill, context.write, call
             )
             await stream.run(frames)
 
@@ -74,22 +76,18 @@ class DeformationService:
         convert.check_load_count(len(request.loads), max_loads)
         return convert.deform_request(body, max_loads)
 
-    async def _response(
+    def _fill(
         self,
-        answer: Answer[DeformResult],
+        response: pb.DeformResponse,
         question: DeformRequest,
         request_id: str,
         received: float,
         parsed: float,
-        span: Span,
-    ) -> pb.DeformResponse:
+        answer: Answer[DeformResult],
+    ) -> Mapping[str, float]:
+        """Fill an answer in where it stands, in the thread of its worker; returns its timings."""
         began = time.perf_counter()
-        if replies.is_heavy(question):
-            response = await asyncio.to_thread(
-                rpc_convert.deform_response, answer.result, question.outputs, request_id
-            )
-        else:
-            response = rpc_convert.deform_response(answer.result, question.outputs, request_id)
+        rpc_convert.fill_response(response, answer.result, question.outputs, request_id)
         now = time.perf_counter()
         timing_ms: Mapping[str, float] = {
             "parse": 1e3 * (parsed - received),
@@ -99,5 +97,4 @@ class DeformationService:
             "total": 1e3 * (now - received),
         }
         response.timing_ms.update(timing_ms)
-        self._handler.answered(timing_ms, span)
-        return response
+        return timing_ms

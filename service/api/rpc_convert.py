@@ -140,19 +140,22 @@ _PARTS: Mapping[str, Any] = {
 # --- replies ----------------------------------------------------------------------------------------------------
 
 
-def deform_response(result: DeformResult, outputs: frozenset[str], request_id: str) -> pb.DeformResponse:
-    """The reply, but for `timing_ms`, which ends with the encoding itself."""
-    response = pb.DeformResponse(
-        request_id=request_id,
-        model=pb.ModelName(name=result.model_name, version=result.model_version),
-        grid=pb.Grid(
-            shape=[GRID_SIZE] * 3,
-            voxel_size_m=result.grid.pitch_m,
-            camera_from_grid=result.grid.camera_from_grid.ravel().tolist(),
-        ),
-        flags=sorted(result.flags),
-        reconstruction_id=result.reconstruction_id,
-    )
+def fill_response(
+    response: pb.DeformResponse, result: DeformResult, outputs: frozenset[str], request_id: str
+) -> None:
+    """Fill a reply in where it stands, but for `timing_ms`, which ends with the encoding itself.
+
+    A message that is put into another is copied, megabytes and all.
+    """
+    response.request_id = request_id
+    response.model.name = result.model_name
+    response.model.version = result.model_version
+    response.grid.shape.extend((GRID_SIZE,) * 3)
+    response.grid.voxel_size_m = result.grid.pitch_m
+    response.grid.camera_from_grid.extend(result.grid.camera_from_grid.ravel().tolist())
+    response.flags.extend(sorted(result.flags))
+    if result.reconstruction_id is not None:
+        response.reconstruction_id = result.reconstruction_id
     for load in result.loads:
         _tell_load(response.loads.add(), load, outputs)
     if "scene" in outputs:
@@ -163,11 +166,9 @@ def deform_response(result: DeformResult, outputs: frozenset[str], request_id: s
         response.reconstruction.bits = _bytes(pack_bits(result.reconstruction))
         if "probability" in outputs:
             response.reconstruction_probability.levels = _bytes(levels(result.reconstruction_probability))
-    return response
 
 
 def _tell_load(answer: pb.LoadResult, load: LoadResult, outputs: frozenset[str]) -> None:
-    """Fill an answer in where it stands: a message that is put into another is copied, megabytes and all."""
     answer.max_displacement_m = load.max_displacement_m
     answer.mean_displacement_m = load.mean_displacement_m
     answer.load_number = load.load_number

@@ -11,8 +11,10 @@ import logging
 import math
 import time
 from collections import Counter
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 from service.api.context import log_done, log_error
 from service.api.generated import deformation_pb2 as pb
@@ -33,7 +35,7 @@ responses is held back by HTTP/2's flow control instead of filling the service's
 
 ROUTE = "/physnet.v1.DeformationService/DeformStream#frame"
 
-Respond = Callable[[Answer[DeformResult], DeformRequest, str, float, float, Span], Awaitable[pb.DeformResponse]]
+Fill = Callable[[pb.DeformResponse, DeformRequest, str, float, float, Answer[DeformResult]], Mapping[str, float]]
 
 
 @dataclass
@@ -53,7 +55,11 @@ class _Frame:
     age_ms: dict[str, float] = field(default_factory=dict)
 
     def reached(self, stage: str) -> None:
-        self.age_ms[stage] = 1e3 * (time.perf_counter() - self.arrived)
+        self.age_ms[stage] = self.age()
+
+    def age(self) -> float:
+        """In milliseconds."""
+        return 1e3 * (time.perf_counter() - self.arrived)
 
 
 class FrameStream:
@@ -63,26 +69,26 @@ class FrameStream:
         handler: Answers.
         settings: The longest a frame may wait.
         question: From a message to a request; raises what is wrong with it.
-        respond: From an answer to a message.
+        fill: Fills an answer in and returns its timings; called in the worker's thread.
         write: Sends one response; waits while the client doesn't take any.
         call: The stream's; its frames have its request id and their own, and belong to its caller's trace.
     """
 
     def __init__(
         self, handler: Handler, settings: Settings, question: Callable[[pb.DeformRequest], DeformRequest],
-        respond: Respond, write: Callable[[pb.DeformStreamResponse], Awaitable[None]], call: Call,
+        fill: Fill, write: Callable[[pb.DeformStreamResponse], Awaitable[None]], call: Call,
     ) -> None:  # fmt: skip
         self._handler = handler
         self._longest_s = settings.request_deadline_s
         self._question = question
-        self._respond = respond
+        self._fill = fill
         self._write = write
         self._request_id = call.request_id
         self._caller = call.caller
         self._counts: Counter[str] = Counter()
         self._room = asyncio.Semaphore(UNANSWERED)
         self._outgoing: asyncio.Queue[tuple[_Frame, pb.DeformStreamResponse] | None] = asyncio.Queue()
-        self._answering: set[asyncio.Task[None]] = set()
+        self._answering: set[asyncio.Future[Any]] = set()
         self._last_id = -1
         self._offered: _Frame | None = None
 
@@ -96,7 +102,7 @@ class FrameStream:
             await asyncio.wait({reading, writing}, return_when=asyncio.FIRST_COMPLETED)
             if reading.done():
                 reading.result()
-                await asyncio.gather(*self._answering)
+                await asyncio.gather(*self._answering, return_exceptions=True)
                 self._outgoing.put_nowait(None)
             await writing
         finally:
@@ -106,8 +112,8 @@ class FrameStream:
                 "stream ended: %s request=%s", counts, self._request_id,
                 extra={"request_id": self._request_id, "frames": counts},
             )  # fmt: skip
-            for task in (reading, writing, *self._answering):
-                task.cancel()
+            for future in (reading, writing, *self._answering):
+                future.cancel()
 
     async def _read_all(self, frames: AsyncIterator[pb.DeformStreamRequest], place: Place) -> None:
         await self._room.acquire()
@@ -132,54 +138,67 @@ class FrameStream:
         question = self._question(message.request)
         parsed = time.perf_counter()
         frame.reached("parse")
-        answer = place.offer(question, deadline)
+        response = pb.DeformStreamResponse(frame_id=frame.frame_id)
+        answer = place.offer(question, deadline, partial(self._encode, frame, response, question, parsed))
         # The one it overtakes, if it does, hears of it only when the event loop turns next.
         if self._offered is not None:
             self._offered.overtaken_by = frame.frame_id
         self._offered = frame
-        task = asyncio.create_task(self._answer(frame, answer, question, parsed))
-        self._answering.add(task)
-        task.add_done_callback(self._answering.discard)
+        self._answering.add(answer)
+        answer.add_done_callback(partial(self._tell, frame, response))
 
-    async def _answer(
-        self, frame: _Frame, answer: asyncio.Future[Answer[DeformResult]], question: DeformRequest, parsed: float
+    def _encode(
+        self, frame: _Frame, response: pb.DeformStreamResponse, question: DeformRequest, parsed: float,
+        answer: Answer[DeformResult],
+    ) -> Mapping[str, float]:  # fmt: skip
+        """In the worker's thread: the response, but for its last age; returns the answer's timings."""
+        timing_ms = self._fill(response.answer, question, self._id(frame), frame.arrived, parsed, answer)
+        age_ms = frame.age_ms["parse"]
+        for stage, elapsed_ms in {"queue": timing_ms["queue"], **answer.result.timing_ms}.items():
+            if stage != "total":
+                age_ms += elapsed_ms
+                frame.age_ms[stage] = age_ms
+        frame.reached("encode")
+        response.age_ms.update(frame.age_ms)
+        return timing_ms
+
+    def _tell(
+        self, frame: _Frame, response: pb.DeformStreamResponse, answer: asyncio.Future[Answer[Mapping[str, float]]]
     ) -> None:
+        self._answering.discard(answer)
+        if answer.cancelled():
+            return  # with the stream
         try:
-            answered = await answer
-            age_ms = frame.age_ms["parse"]
-            stages = {"queue": 1e3 * answered.queued_s, **answered.result.timing_ms}
-            for stage, elapsed_ms in stages.items():
-                if stage != "total":
-                    age_ms += elapsed_ms
-                    frame.age_ms[stage] = age_ms
-            response = await self._respond(answered, question, self._id(frame), frame.arrived, parsed, frame.span)
-            frame.reached("encode")
+            timing_ms = answer.result().result
         except Overtaken:
             skipped = pb.Skipped(overtaken_by_frame_id=frame.overtaken_by)
-            self._send(frame, pb.DeformStreamResponse(skipped=skipped), "skipped")
+            self._send(frame, _response(frame, skipped=skipped), "skipped")
         except Exception as error:
             self._refuse(frame, error)
         else:
-            self._send(frame, pb.DeformStreamResponse(answer=response), "ok")
+            self._send(frame, response, "ok", timing_ms)
 
     def _refuse(self, frame: _Frame, error: Exception) -> None:
         code = log_error(error, self._id(frame), frame.span)
-        self._send(frame, pb.DeformStreamResponse(problem=problem_message(error, self._id(frame))), code)
+        self._send(frame, _response(frame, problem=problem_message(error, self._id(frame))), code)
 
-    def _send(self, frame: _Frame, response: pb.DeformStreamResponse, code: str) -> None:
-        response.frame_id = frame.frame_id
+    def _send(
+        self, frame: _Frame, response: pb.DeformStreamResponse, code: str, timing_ms: Mapping[str, float] | None = None
+    ) -> None:
+        # First of all, so that the event loop writes it before it counts.
+        self._outgoing.put_nowait((frame, response))
         elapsed_s = time.perf_counter() - frame.arrived
         self._counts[code] += 1
-        self._handler.metrics.request("grpc", ROUTE, code, elapsed_s)
+        if timing_ms is not None:
+            self._handler.answered(timing_ms, frame.span)
+        asyncio.get_running_loop().call_soon(self._handler.metrics.request, "grpc", ROUTE, code, elapsed_s)
         frame.span.end(code)
         log_done("grpc", ROUTE, code, elapsed_s, self._id(frame), frame.span)
-        self._outgoing.put_nowait((frame, response))
 
     async def _write_all(self) -> None:
         while (item := await self._outgoing.get()) is not None:
             frame, response = item
-            frame.reached("reply")
-            response.age_ms.update(frame.age_ms)
+            response.age_ms["reply"] = frame.age()
             try:
                 await self._write(response)
             except Exception as error:  # gRPC has several kinds, none of them public, for a client that has gone
@@ -206,3 +225,8 @@ class FrameStream:
                 field="deadline_ms", expected="> 0", actual=str(message.deadline_ms),
             )  # fmt: skip
         return min(self._longest_s, 1e-3 * message.deadline_ms)
+
+
+def _response(frame: _Frame, **outcome: pb.Skipped | pb.Problem) -> pb.DeformStreamResponse:
+    """To a frame that has no answer, with the ages that it reached."""
+    return pb.DeformStreamResponse(frame_id=frame.frame_id, age_ms=frame.age_ms, **outcome)  # type: ignore[arg-type]
