@@ -12,8 +12,8 @@ import pytest
 
 from service.core.errors import DeadlineExceeded, EmptyObject, Overloaded
 from service.core.materials import Material
-from service.core.messages import DeformRequest, KnownShape
-from service.scheduler import Overtaken, Scheduler
+from service.core.messages import DeformRequest, DeformResult, KnownShape
+from service.scheduler import Answer, Overtaken, Scheduler
 from tests.service.fakes import FakePredictor
 
 
@@ -71,6 +71,25 @@ def test_answers_come_from_one_thread_in_order_of_asking():
     predictor = run(test, queue_size=3, gate=Gate())
     assert [request.material.name for request in predictor.asked] == ["a", "b", "c"]
     assert predictor.threads == {"inference-0"}
+
+
+def test_the_worker_makes_the_reply_of_an_answer_and_what_that_raises_is_the_answer():
+    async def test(scheduler: Scheduler, predictor: FakePredictor, gate: Gate) -> None:
+        def reply(answer: Answer[DeformResult]) -> tuple[str, float, str]:
+            return answer.result.model_name, answer.queued_s, threading.current_thread().name
+
+        def broken(answer: Answer[DeformResult]) -> None:
+            raise EmptyObject(f"Nothing to say of {answer.result.model_name}.")
+
+        place = scheduler.place()
+        for answer in (await scheduler.submit(ask(), soon(), reply), await place.offer(ask(), soon(), reply)):
+            assert answer.result == ("fake", answer.queued_s, "inference-0")
+        with pytest.raises(EmptyObject, match="Nothing to say of fake"):
+            await scheduler.submit(ask(), soon(), broken)
+        with pytest.raises(EmptyObject, match="Nothing to say of fake"):
+            await place.offer(ask(), soon(), broken)
+
+    assert len(run(test).asked) == 4
 
 
 def test_a_full_queue_refuses_with_a_time_to_come_back():
