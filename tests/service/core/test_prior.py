@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from service.core.lookup import warp
-from service.core.prior import CELLS, ElasticPrior
+from service.core.prior import CELLS, STEPS, ElasticPrior
+from service.core.prior_corotational import TOLERANCE
 from service.core.prior_element import FLOOR_STIFFNESS
 from service.core.prior_grid import CellGrid
 
@@ -92,6 +93,24 @@ def test_corrections_bring_the_forces_into_balance_where_the_column_bends_far() 
     assert np.abs(u[:, 0]).max() > 0.3
     assert left[8] < 0.04 * np.abs(u).max()
     assert left[8] < 0.04 * left[0]
+
+
+@pytest.mark.parametrize("load", [1e-6, 1e-5, 5e-5, 2e-4])
+def test_an_answer_is_corrected_until_it_balances(load: float) -> None:
+    """However far the column bends, one more correction would hardly move it."""
+    prior = ElasticPrior(column(8, 56), 0.3)
+    force = prior.forces([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), load)])
+    u = prior.solver.solve(force, STEPS)
+    assert np.abs(prior.solver.correction(u, force)).max() < 2 * TOLERANCE * np.abs(u).max()
+
+
+def test_a_load_that_balances_early_waits_for_no_other() -> None:
+    """Answers of a batch are those of each alone, in whatever order they are found."""
+    prior = ElasticPrior(column(8, 56), 0.3)
+    loads = [push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), load) for load in (5e-5, 1e-7, 2e-4, 1e-6)]
+    together = prior.nodal(loads)
+    for load, u in zip(loads, together, strict=True):
+        np.testing.assert_allclose(u, prior.nodal([load])[0], atol=1e-3 * np.abs(u).max())
 
 
 def test_a_column_that_bends_far_keeps_its_volume() -> None:
