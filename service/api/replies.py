@@ -14,7 +14,18 @@ from service.api.scene import scene_glb
 from service.core.archive import npz_bytes
 from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.grids import pack_bits
-from service.core.messages import DeformResult, LoadResult
+from service.core.messages import DeformRequest, DeformResult, LoadResult
+
+HEAVY_FIELDS = 4
+"""Replies with more grids of floats or loads than this are encoded beside the event loop, not on it."""
+
+
+def is_heavy(request: DeformRequest) -> bool:
+    """Whether the reply is better encoded beside the event loop."""
+    if "scene" in request.outputs:
+        return True
+    fields = len(request.loads) * len(request.outputs & {"probability", "displacement"})
+    return max(fields, len(request.loads)) > HEAVY_FIELDS
 
 
 def reply_document(result: DeformResult, outputs: frozenset[str], request_id: str) -> dict[str, Any]:

@@ -6,7 +6,6 @@ import asyncio
 import math
 import time
 from collections.abc import Mapping
-from functools import partial
 from typing import Annotated, Any, TypeVar
 
 from fastapi import FastAPI, Query, Request, Response
@@ -93,23 +92,28 @@ def _add_deform(app: FastAPI, handler: Handler, settings: Settings) -> None:
         received = time.perf_counter()
         question = convert.deform_request(convert.parse_body(data), settings.max_loads, files)
         parsed = time.perf_counter()
+        answer = await _unless_disconnected(request, handler.deform(question, deadline))
         timing_ms = {"parse": 1e3 * (parsed - received)}
         request_id: str = request.state.request_id
-        encode = partial(_encoded, question.outputs, request_id, media_type, timing_ms, received)
-        encoded = (await _unless_disconnected(request, handler.deform(question, deadline, encode))).result
+        if replies.is_heavy(question) or media_type != JSON:
+            encoded = await asyncio.to_thread(
+                _encoded, answer, question.outputs, request_id, media_type, timing_ms, received
+            )
+        else:
+            encoded = _encoded(answer, question.outputs, request_id, media_type, timing_ms, received)
         handler.answered(timing_ms, request.state.span)
         return Response(encoded, media_type=media_type)
 
 
 def _encoded(
+    answer: Answer[DeformResult],
     outputs: frozenset[str],
     request_id: str,
     media_type: str,
     timing_ms: dict[str, float],
     received: float,
-    answer: Answer[DeformResult],
 ) -> bytes:
-    """The reply's bytes, in the worker's thread; completes `timing_ms`."""
+    """The reply's bytes; completes `timing_ms`."""
     began = time.perf_counter()
     timing_ms["queue"] = 1e3 * answer.queued_s
     timing_ms |= {stage: ms for stage, ms in answer.result.timing_ms.items() if stage != "total"}
@@ -132,7 +136,7 @@ def _encoded(
     return replies.reply_json(document, timing_ms)
 
 
-async def _unless_disconnected(request: Request, answer: Any) -> Answer[bytes]:
+async def _unless_disconnected(request: Request, answer: Any) -> Answer[DeformResult]:
     """The answer, unless the client goes away first: then its place in the queue is given up."""
     asked = asyncio.ensure_future(answer)
     gone = asyncio.ensure_future(request.receive())
@@ -140,7 +144,7 @@ async def _unless_disconnected(request: Request, answer: Any) -> Answer[bytes]:
         await asyncio.wait({asked, gone}, return_when=asyncio.FIRST_COMPLETED)
         if not asked.done():
             raise ClientDisconnect
-        result: Answer[bytes] = asked.result()
+        result: Answer[DeformResult] = asked.result()
         return result
     finally:
         gone.cancel()
