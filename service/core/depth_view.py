@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool, Float32, Int32
 
 from service.core.arrays import DepthImage, Mask, Points
 from service.core.camera import Intrinsics, ray_grid
@@ -76,8 +76,14 @@ class DepthView:
 def view_depth(depth_m: DepthImage, intrinsics: Intrinsics, window: Window = WHOLE_IMAGE, stride: int = 1) -> DepthView:
     """Look at a window of a depth image; an empty window gives an empty view."""
     rows, columns = _pixels(depth_m.shape, window, stride)
-    z_m = np.ascontiguousarray(depth_m[rows, columns])
-    ray_x, ray_y = view_rays(intrinsics, window, stride)
+    if window == WHOLE_IMAGE:
+        z_m = np.ascontiguousarray(depth_m[rows, columns])
+        ray_x, ray_y = _thinned_rays(intrinsics, stride)
+    else:
+        shape = len(range(*rows.indices(rows.stop))), len(range(*columns.indices(columns.stop)))
+        z_m, ray_x, ray_y = np.empty(shape, np.float32), np.empty(shape, np.float32), np.empty(shape, np.float32)
+        upright = intrinsics.distortion is None
+        _cut(depth_m, *ray_grid(intrinsics), upright, rows.start, columns.start, stride, z_m, ray_x, ray_y)
     return DepthView(z_m, ray_x, ray_y, (rows.start, columns.start), stride)
 
 
@@ -108,6 +114,34 @@ def _thinned_rays(intrinsics: Intrinsics, stride: int) -> tuple[Rays, Rays]:
     # Copies that could be written, as all other rays of a view: kernels are compiled once more for read-only arrays.
     ray_x, ray_y = (image[::stride, ::stride].copy() for image in ray_grid(intrinsics))
     return ray_x, ray_y
+
+
+@compiled
+def _cut(
+    depth_m: DepthImage,
+    whole_x: Float32[np.ndarray, "height width"],
+    whole_y: Float32[np.ndarray, "height width"],
+    upright: bool,
+    top: int,
+    left: int,
+    stride: int,
+    z_m: Float32[np.ndarray, "rows columns"],
+    ray_x: Rays,
+    ray_y: Rays,
+) -> None:
+    """Readings and rays of a view; of `upright` rays only the first row's x/z and the first column's y/z are read."""
+    for row in range(z_m.shape[0]):
+        at = top + stride * row
+        line, across = depth_m[at], whole_x[0 if upright else at]
+        for column in range(z_m.shape[1]):
+            z_m[row, column] = line[np.uintp(left + stride * column)]
+        for column in range(z_m.shape[1]):
+            ray_x[row, column] = across[np.uintp(left + stride * column)]
+        if upright:
+            ray_y[row] = whole_y[at, 0]
+        else:
+            for column in range(z_m.shape[1]):
+                ray_y[row, column] = whole_y[at, np.uintp(left + stride * column)]
 
 
 @compiled
@@ -203,6 +237,27 @@ def _narrow(
             if where[row, column]:
                 fewer[row, column] = kept[n]
                 n += 1
+
+
+def window_of(where: Bool[np.ndarray, "rows columns"], labels: Int32[np.ndarray, " n"], label: int) -> Window:
+    """Box around those of the n set pixels of an image, in row-major order, that have a label (at least one has)."""
+    top, bottom, left, right = _bound(where, labels, label)
+    return slice(top, bottom + 1), slice(left, right + 1)
+
+
+@compiled
+def _bound(
+    where: Bool[np.ndarray, "rows columns"], labels: Int32[np.ndarray, " n"], label: int
+) -> tuple[int, int, int, int]:
+    n, top, bottom, left, right = 0, where.shape[0], -1, where.shape[1], -1
+    for row in range(where.shape[0]):
+        for column in range(where.shape[1]):
+            if where[row, column]:
+                if labels[n] == label:
+                    top, bottom = min(top, row), row
+                    left, right = min(left, column), max(right, column)
+                n += 1
+    return top, bottom, left, right
 
 
 def window_around(shown: Bool[np.ndarray, "rows columns"], margin: float = 0.0, margin_px: int = 0) -> Window:

@@ -92,15 +92,11 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     """
     axes = _horizontal_axes(up)
     cell_m = max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2])))
-    around = np.zeros((2 * REACH_CELLS, 2 * REACH_CELLS), np.uint8)
     place = (axes.astype(np.float64) @ place_m).astype(np.float32)
-    top, bottom, left, right = _mark(points, axes, place, np.float32(1.0 / cell_m), around)
-    if bottom < top:
-        return None
     margin = VESSEL_GAP_CELLS // 2 + 2
-    occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
-    occupied[margin:-margin, margin:-margin] = around[top : bottom + 1, left : right + 1]
-    first_row, first_column = top - REACH_CELLS - margin, left - REACH_CELLS - margin
+    occupied, first_row, first_column = _mark(points, axes, place, np.float32(1.0 / cell_m), REACH_CELLS, margin)
+    if occupied.size == 0:
+        return None
     grown = cv2.dilate(occupied, _NEIGHBOURS)
     count, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
     labels = _join_vessels(occupied, np.asarray(components, np.int32), count)
@@ -114,21 +110,53 @@ def _mark(
     axes: Float32[np.ndarray, "axes=2 3"],
     place: Float32[np.ndarray, " axes=2"],
     cells_per_m: np.float32,
-    around: UInt8[np.ndarray, "rows columns"],
-) -> tuple[int, int, int, int]:
-    """Mark the cells that hold a point; returns the first and last row, the first and last column of them."""
-    reach = np.float32(around.shape[0] // 2)
-    top, bottom, left, right = around.shape[0], -1, around.shape[1], -1
+    reach_cells: int,
+    margin: int,
+) -> tuple[UInt8[np.ndarray, "rows columns"], int, int]:
+    """Mark the cells that hold a point, and where the first cell lies from the place; no cells where none does.
+
+    The map is as large as what stands on it and a margin all around.
+    """
+    reach = np.float32(reach_cells)
+    top, bottom, left, right = 2 * reach_cells, -1, 2 * reach_cells, -1
+    cells = np.empty((len(points), 2), np.int32)
+    held = 0
     for point in range(len(points)):
         x, y, z = points[point, 0], points[point, 1], points[point, 2]
         down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - place[0]) * cells_per_m
         across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - place[1]) * cells_per_m
         if abs(down) < reach and abs(across) < reach:
             row, column = int(np.floor(down + reach)), int(np.floor(across + reach))
-            around[row, column] = 1
+            cells[held, 0], cells[held, 1] = row, column
+            held += 1
             top, bottom = min(top, row), max(bottom, row)
             left, right = min(left, column), max(right, column)
-    return top, bottom, left, right
+    if held == 0:
+        return np.zeros((0, 0), np.uint8), 0, 0
+    occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
+    for cell in range(held):
+        occupied[cells[cell, 0] - top + margin, cells[cell, 1] - left + margin] = 1
+    return occupied, top - reach_cells - margin, left - reach_cells - margin
+
+
+def nearest_label(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
+    """Label (above 0) that the nearest point has, among the labels with enough points; 0 for none."""
+    return _choose(labels, distance, min_points)
+
+
+@compiled
+def _choose(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
+    highest = 0
+    for point in range(len(labels)):
+        highest = max(highest, labels[point])
+    counts = np.zeros(highest + 1, np.int64)
+    for point in range(len(labels)):
+        counts[labels[point]] += 1
+    chosen, least = 0, np.float32(np.inf)
+    for point in range(len(labels)):
+        if distance[point] < least and labels[point] > 0 and counts[labels[point]] >= min_points:
+            chosen, least = labels[point], distance[point]
+    return chosen
 
 
 @compiled

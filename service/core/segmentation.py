@@ -10,13 +10,22 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32
 
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics, pixel_to_point, ray_grid
-from service.core.depth_view import WHOLE_IMAGE, DepthView, Window, narrowed, on_surface, view_depth, window_around
+from service.core.depth_view import (
+    WHOLE_IMAGE,
+    DepthView,
+    Window,
+    narrowed,
+    on_surface,
+    view_depth,
+    window_around,
+    window_of,
+)
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
-from service.core.footprints import Footprints, find_footprints
+from service.core.footprints import Footprints, find_footprints, nearest_label
 from service.core.support_plane import SupportPlane
 from service.core.surroundings import Support, distances_m, fit_support, sample_view, support_around_mask
 
@@ -221,24 +230,16 @@ def _find_object(
         distance = (
             _distance_to_middle(view, core, window, intrinsics) if contact_m is None else distances_m(points, contact_m)
         )
-        label = _nearest_footprint(labels, distance, MIN_OBJECT_POINTS // stride**2)
+        label = nearest_label(labels, distance, max(MIN_OBJECT_POINTS // stride**2, 3))
         if label == 0:
             continue
         wide = footprints.extent_m(label) > MAX_EXTENT_M
         if found is None or not wide:
-            seen = window_around(narrowed(core, labels == label))
+            seen = window_of(core, labels, label)
             found = footprints, label, _enlarge(seen, view, 2 * stride + 2, window, depth_m.shape)
         if not wide:
             break
     return found
-
-
-def _nearest_footprint(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
-    """Label that the nearest point has, among the labels with enough points; 0 for none."""
-    large = np.bincount(labels) >= max(min_points, 3)
-    large[0] = False
-    eligible = large[labels]
-    return int(labels[np.argmin(np.where(eligible, distance, np.inf))]) if eligible.any() else 0
 
 
 def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:

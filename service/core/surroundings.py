@@ -52,7 +52,8 @@ class Support:
         sides = [side.indices(size) for side, size in zip(window, depth_m.shape, strict=True)]
         corner = sides[0][0], sides[1][0]
         normal, offset_m = self.fitted.normal.astype(np.float32), np.float32(self.fitted.offset_m)
-        box = _find_above(depth_m, *view_rays(intrinsics, window, stride), *corner, stride, normal, offset_m)
+        rays, upright = view_rays(intrinsics, window, stride), intrinsics.distortion is None
+        box = _find_above(depth_m, *rays, upright, *corner, stride, normal, offset_m)
         if box[1] < 0:
             return None
         rows, columns = (
@@ -67,25 +68,33 @@ def _find_above(
     depth_m: DepthImage,
     ray_x: Rays,
     ray_y: Rays,
+    upright: bool,
     top: int,
     left: int,
     stride: int,
     normal: Float32[np.ndarray, "3"],
     offset_m: np.float32,
 ) -> tuple[int, int, int, int]:
-    """First and last row, first and last column of the rays whose readings rise above a plane; -1 last for none."""
+    """First and last row, first and last column of the rays whose readings rise above a plane; -1 last for none.
+
+    Where rows and columns of rays are `upright`, the first row's x/z and the first column's y/z are all that is read.
+    """
     nx, ny, nz = normal
     rows, columns = ray_x.shape
-    z_m = np.empty(columns, np.float32)
+    z_m, down = np.empty(columns, np.float32), np.empty(columns, np.float32)
     first_row, last_row, first_column, last_column = rows, -1, np.int32(columns), np.int32(-1)
     for row in range(rows):
-        line = depth_m[top + stride * row]
+        line, across = depth_m[top + stride * row], ray_x[0 if upright else row]
+        if upright:
+            down[:] = ray_y[row, 0]
+        else:
+            down[:] = ray_y[row]
         for column in range(columns):
             z_m[column] = line[np.uintp(left + stride * column)]
         first, last = np.int32(columns), np.int32(-1)
         for column in range(columns):
             z = z_m[column]
-            height_m = (nx * ray_x[row, column] + ny * ray_y[row, column] + nz) * z + offset_m
+            height_m = (nx * across[column] + ny * down[column] + nz) * z + offset_m
             rises = height_m > plane_tolerance_m(z)
             first = min(first, np.int32(column) if rises else np.int32(columns))
             last = max(last, np.int32(column) if rises else np.int32(-1))

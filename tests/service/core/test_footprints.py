@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from service.core.depth_view import narrowed, view_depth
-from service.core.footprints import Footprints, find_footprints
+from service.core.footprints import Footprints, find_footprints, nearest_label
 from tests.synthetic_scenes import CAMERA, Box, render
 
 UP = np.array([0.0, -1.0, 0.0])
@@ -93,3 +93,11 @@ def test_extent_is_the_longer_side() -> None:
 
 def test_points_out_of_reach_leave_no_map() -> None:
     assert find_footprints(np.array([[9, 0, 9]], np.float32), UP, PLACE) is None
+
+
+def test_the_nearest_label_has_enough_points_and_is_none_where_none_has() -> None:
+    labels = np.array([0, 3, 1, 1, 2, 2, 2], np.int32)
+    distance = np.array([0.1, 0.2, 0.5, 0.4, 0.9, 0.3, 0.3], np.float32)
+    assert nearest_label(labels, distance, 1) == 3
+    assert nearest_label(labels, distance, 2) == 2
+    assert nearest_label(labels, distance, 4) == 0
