@@ -26,6 +26,7 @@ from service.core.depth_view import (
 )
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
 from service.core.footprints import Footprints, find_footprints, nearest_label
+from service.core.strays import without_background
 from service.core.support_plane import SupportPlane
 from service.core.surroundings import Support, distances_m, fit_support, sample_view, support_around_mask
 
@@ -51,10 +52,6 @@ MAX_EXTENT_M = 0.5
 
 MASK_TOLERANCES = 0.5
 """The same for points of a mask, which says itself what is object; the rest is the mask's bleeding onto the table."""
-
-STRAY_SHARE = 0.01
-"""A part of a mask beside its largest one with less than this share of that one's points is stray: readings at the
-object's edge that lie between it and what is behind it."""
 
 FACE_SHARE = 0.1
 """With nothing above a plane and this share of the readings below it, the plane is no support."""
@@ -152,7 +149,7 @@ def _segment_masked(
         shown &= clearance > MASK_TOLERANCES
         points = view.points(shown)
     known_up = support.fitted.normal if support is not None else up
-    kept = _without_background(points, IMAGE_UP if known_up is None else known_up)
+    kept = without_background(points, IMAGE_UP if known_up is None else known_up)
     return _finish(view, narrowed(shown, kept), intrinsics, support, up)
 
 
@@ -240,22 +237,6 @@ def _find_object(
         if not wide:
             break
     return found
-
-
-def _without_background(points: Points, up: Vector3) -> Bool[np.ndarray, " n"]:
-    """Which points of a mask are not far from its largest part, as background beyond the object's edge is."""
-    footprints = find_footprints(points, up, points[len(points) // 2].astype(np.float64))
-    labels = np.ones(len(points), np.int32) if footprints is None else footprints.label_of(points)
-    counts = np.bincount(labels)
-    if np.count_nonzero(counts) == 1:
-        return np.ones(len(points), np.bool_)
-    main = labels == np.argmax(counts)
-    low, high = points[main].min(axis=0), points[main].max(axis=0)
-    # The far side of a deep cup is seen apart from its near side, at most one diameter behind it.
-    reach_m = np.linalg.norm(high - low)
-    gap_m = np.linalg.norm(np.maximum(np.maximum(low - points, points - high), 0.0), axis=1)
-    large = counts >= STRAY_SHARE * counts.max()
-    return np.asarray((gap_m == 0.0) | (large[labels] & (gap_m < reach_m)), np.bool_)
 
 
 def _finish(
