@@ -7,7 +7,7 @@ other. In the kernels even short outer loops run to lengths of arrays: known to 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from service.core.compiled import compiled
 from service.core.prior_assembly import rest_factor, solve_at_rest
@@ -43,6 +43,7 @@ _FARTHEST = 2.0
 """Edges of the body grid. What moves farther has left the grid; loads that would do so are answered at a share."""
 
 Loads = Float32[np.ndarray, "loads 3 n"]
+Places = Float32[np.ndarray, "steps loads 3 n"]
 
 
 class CorotationalSolver:
@@ -90,16 +91,16 @@ class CorotationalSolver:
         directions = np.empty((steps, *u.shape), np.float32)
         places[0], moving = u, np.arange(len(u))
         for step in range(steps):
-            _correct(self.cells, self.factor, places[step], force, directions[step])
-            next_places(places, directions, step)
-            now = places[step + 1]
-            u[moving] = now
-            left = np.abs(now - places[step]).max(axis=(1, 2)) > TOLERANCE * np.abs(now).max(axis=(1, 2))
-            if not left.all():  # nor what is no number
+            left = np.empty(len(moving), np.bool_)
+            count = _advance(self.cells, self.factor, places, directions, step, force, left)
+            if count == len(moving) and step + 1 < steps:
+                continue
+            u[moving] = places[step + 1]
+            if count == 0:
+                break
+            if count < len(moving):
                 moving, force = moving[left], force[left]
                 places, directions = (np.ascontiguousarray(each[:, left]) for each in (places, directions))
-            if not len(moving):
-                break
 
     def correction(self, u: Loads, force: Loads) -> Loads:
         """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
@@ -178,6 +179,30 @@ def _correct(cells: Cells, factor: BandFactor, u: Loads, force: Loads, result: L
     solve_at_rest(factor, left, left)
     for load in range(len(u)):
         turn(frames[load], left[load], result[load])
+
+
+@compiled
+def _advance(
+    cells: Cells, factor: BandFactor, places: Places, directions: Places, step: int, force: Loads,
+    left: Bool[np.ndarray, " loads"],
+) -> int:  # fmt: skip
+    """One more correction of every load: tell which were moved by it for more than `TOLERANCE`, and how many.
+
+    One that is no number is done.
+    """
+    _correct(cells, factor, places[step], force, directions[step])
+    next_places(places, directions, step)
+    count = 0
+    for load in range(len(force)):
+        now, before = places[step + 1, load].ravel(), places[step, load].ravel()
+        moved, farthest, total = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        for i in range(len(now)):
+            moved = max(moved, abs(now[i] - before[i]))
+            farthest = max(farthest, abs(now[i]))
+            total += abs(now[i])
+        left[load] = np.isfinite(total) and moved > np.float32(TOLERANCE) * farthest
+        count += left[load]
+    return count
 
 
 @compiled

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Int
+from jaxtyping import Int
 
 from service.core.arrays import GRID_SIZE, Eights, Occupancy
 from service.core.compiled import compiled
@@ -14,8 +14,8 @@ from service.core.extent import Voxel
 Division: TypeAlias = tuple[int, int, int]
 """Cells along x, y, z."""
 
-LARGEST_SHARE = 8
-"""Cells of the box for each that is wanted, at most."""
+FIRST_SHARE, LARGEST_SHARE = 1.5, 8
+"""Cells of the box for each that is wanted: as many as most bodies need, and at most."""
 
 NARROWEST = 2.0
 """Voxels that a cell is wide at least, about: what is narrower resolves how voxels round a body."""
@@ -36,7 +36,7 @@ def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Divisi
     size = np.subtract(end, first)
     most = max(min(float(size.prod()) / NARROWEST**3, float(LARGEST_SHARE * cells)), 1.0)
     words = np.ascontiguousarray(occupancy).view(np.uint64)
-    box, best, nearest = float(cells), (1, 1, 1), np.inf
+    box, best, nearest = FIRST_SHARE * cells, (1, 1, 1), np.inf
     for _ in range(_ROUNDS):
         division = _division(size, min(box, most))
         held = _held(words, np.array(first), _cell_of_voxel(size, division), division)
@@ -63,20 +63,21 @@ def _cell_of_voxel(size: Int[np.ndarray, "3"], division: Division) -> Int[np.nda
 
 @compiled
 def _held(words: Eights, first: Int[np.ndarray, "3"], cell: Int[np.ndarray, "3 voxel=64"], division: Division) -> int:
-    """Cells that hold the centre of a voxel, found eight voxels at a time."""
-    nx, ny, nz = division
-    held: Bool[np.ndarray, "x y z"] = np.zeros((nx, ny, nz), np.bool_)
-    one, all_eight = np.uint64(1), np.uint64(0x0101010101010101)
+    """Cells that hold the centre of a voxel. Columns of voxels in one column of cells are laid on each other first."""
+    nx, ny, _ = division
+    together = np.zeros((nx, ny, words.shape[2]), np.uint64)
     for x in range(GRID_SIZE - first[0]):
         for y in range(GRID_SIZE - first[1]):
-            row = held[cell[0, x], cell[1, y]]
-            for w in range(words.shape[2]):
-                word, z = words[first[0] + x, first[1] + y, w], 8 * w - first[2]
-                if word == all_eight:
-                    row[cell[2, z] : cell[2, z + 7] + 1] = True
-                elif word != 0:
-                    for k in range(words.shape[2]):  # as many as there are words
-                        if word & one == one:
-                            row[cell[2, z + k]] = True
-                        word >>= np.uint64(8)
-    return int(held.sum())
+            column = together[cell[0, x], cell[1, y]]
+            for w in range(len(column)):
+                column[w] |= words[first[0] + x, first[1] + y, w]
+    count, one = 0, np.uint64(1)
+    for i in range(nx):
+        for j in range(ny):
+            last = -1
+            for z in range(GRID_SIZE - first[2]):
+                k = z + first[2]
+                if cell[2, z] != last and together[i, j, k // 8] >> np.uint64(8 * (k % 8)) & one == one:
+                    last = cell[2, z]
+                    count += 1
+    return count
