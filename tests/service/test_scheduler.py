@@ -63,6 +63,8 @@ async def in_worker(gate: Gate) -> None:
 def test_answers_come_from_one_thread_in_order_of_asking():
     async def test(scheduler, predictor, gate):
         tasks = [asyncio.create_task(scheduler.submit(ask(name), soon())) for name in "abc"]
+        while not predictor.asked or scheduler.queue_depth < 2:  # the first is begun, the others wait
+            await asyncio.sleep(0.001)
         gate.open.set()
         answers = await asyncio.gather(*tasks)
         assert all(answer.result.model_name == "fake" for answer in answers)
