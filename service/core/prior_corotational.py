@@ -37,7 +37,8 @@ _LARGEST_ROTATION = np.float32(1.3)
 """Radians. A cantilever under a dead load turns towards the load, by π/2 at the very most."""
 
 TOLERANCE = 0.01
-"""Most samples of `everyday` need four or five corrections for it, what bends far up to a dozen."""
+"""Of the farthest node's displacement: what moves none by more is the last correction. Most samples of `everyday` need
+four or five, what bends far up to a dozen."""
 
 _FARTHEST = 2.0
 """Edges of the body grid. What moves farther has left the grid; loads that would do so are answered at a share."""

@@ -101,7 +101,7 @@ def test_an_answer_is_corrected_until_it_balances(load: float) -> None:
     prior = ElasticPrior(column(8, 56), 0.3)
     force = prior.forces([push((0.4375, 0.5, 0.8), (1.0, 0.0, 0.0), load)])
     u = prior.solver.solve(force, STEPS)
-    assert np.abs(prior.solver.correction(u, force)).max() < 3 * TOLERANCE * np.abs(u).max()
+    assert np.abs(prior.solver.correction(u, force)).max() < 2 * TOLERANCE * np.abs(u).max()
 
 
 def test_a_load_that_balances_early_waits_for_no_other() -> None:
@@ -176,14 +176,13 @@ def test_any_body_has_a_finite_answer_of_bounded_size_to_any_load(name: str) -> 
 SYMMETRIES = ("x", "y", "swap", "turn")
 
 
-@pytest.mark.parametrize(("force", "tolerance"), [(2e-4, 2e-3), (1e-3, 2 * TOLERANCE)])
 @pytest.mark.parametrize("symmetry", SYMMETRIES)
-def test_solutions_have_the_symmetries_of_the_square(symmetry: str, force: float, tolerance: float) -> None:
-    """Training augments with them; two make all eight. Rounding may end the corrections of a large load sooner."""
+def test_solutions_have_the_symmetries_of_the_square(symmetry: str) -> None:
+    """Training augments with them; two of these make all eight."""
     rest = np.zeros((64, 64, 64), bool)
     rest[14:30, 10:50, :44] = True
     rest[14:52, 10:22, 30:44] = True  # no symmetry of its own
-    load = push((52 / 64, 0.25, 0.58), (0.48, 0.6, -0.64), force)
+    load = push((52 / 64, 0.25, 0.58), (0.48, 0.6, -0.64), 2e-3)
 
     def image(body: np.ndarray, condition: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         condition = condition.copy()
@@ -208,8 +207,8 @@ def test_solutions_have_the_symmetries_of_the_square(symmetry: str, force: float
     other, its_load = image(rest, load)
     its_field = ElasticPrior(other, 0.3).displacements([its_load]).backward[0]
     peak = np.abs(field).max()
-    assert peak > 50 * force
-    np.testing.assert_allclose(its_field, image_of_field(field), atol=tolerance * peak)
+    assert peak > 0.1
+    np.testing.assert_allclose(its_field, image_of_field(field), atol=1e-3 * peak)
 
 
 def test_an_empty_body_is_refused() -> None:
