@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from service.core.alignment import body_grid, body_grid_free, resample
-from service.core.arrays import DepthImage, Occupancy, Probability, Vector3
+from service.core.arrays import GRID_SIZE, DepthImage, Occupancy, Probability, Vector3
 from service.core.camera import Intrinsics, pixel_to_point
 from service.core.condition import POISSON_RATIO_MAX, Condition, encode_condition, load_number
 from service.core.contact import snap_contact, surface_centres
@@ -326,9 +326,9 @@ def _moved(
     body: Body, question: Question, probability: Probability, field: Field, threshold: float, spread: Spread
 ) -> LoadResult:
     """The network's answer in metres."""
-    deformed = probability > threshold
-    moved = motion(field, body.occupancy, deformed, body.grid.edge_m, spread)
-    sides = (deformed[[0, -1]], deformed[:, [0, -1]], deformed[:, :, -1])
+    moved = motion(field, body.occupancy, probability, threshold, body.grid.edge_m, spread)
+    deformed = moved.deformed
+    sides = (deformed[:: GRID_SIZE - 1], deformed[:, :: GRID_SIZE - 1], deformed[:, :, -1])
     flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())
     return LoadResult(
         deformed=deformed,

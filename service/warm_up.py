@@ -109,7 +109,7 @@ def _deform_unsolved(models: Models) -> None:
     still = np.zeros((1, 3, 16, 16, 16), np.float32), np.zeros((1, 3, 32, 32, 32), np.float32)
     block = _block()
     answer = models.deformation(block, [PUSH], prior=Prior(still[0], Once(lambda: still[1])))
-    motion(answer.field[0], block, block, edge_m=0.2)
+    motion(answer.field[0], block, answer.probability[0], threshold=0.5, edge_m=0.2)
 
 
 def _solve() -> None:

@@ -6,13 +6,12 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Float32, Int32
 
 from service.core.arrays import GRID_SIZE
 from service.core.compiled import compiled
 from service.core.extent import Voxel
 from service.core.prior_field import FIELD_SIZE
-from service.core.spread import Spread, in_turn
 
 Field: TypeAlias = Float32[np.ndarray, "axis=3 x=32 y=32 z=32"]
 """u in edges of the grid on a lattice over the cube, node i at (i + ½)/32."""
@@ -21,14 +20,14 @@ Lattice: TypeAlias = Float32[np.ndarray, "axis=3 s s s"]
 Corner: TypeAlias = tuple[float, float, float]
 Box: TypeAlias = tuple[Corner, Corner]
 Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
+Row: TypeAlias = Float32[np.ndarray, "axis=3 node=32"]
+Shares: TypeAlias = Float32[np.ndarray, "5 node=32"]
 
 SPARE = 3.0
 """Nodes around all material that is looked at: a cell of the field, and as much again as the field may bend in it."""
 
 
-def corrected(
-    backward: Field, correction: Lattice, body: Box | None = None, spread: Spread = in_turn, result: Field | None = None
-) -> Field:
+def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> Field:
     """The backward field of a body whose material has moved by a correction more than the field says.
 
     With ψ the map y ↦ y − u_b(y) back to rest and δ(x) the correction of the material at x, the material now at y was
@@ -41,13 +40,11 @@ def corrected(
         body: Box of the body at rest, lowest and highest corner in edges of the grid. The field is left as it was where
             ψ leads farther from the box than the body is corrected, and `SPARE` nodes: nobody looks there. All of it
             is corrected if None.
-        spread: Over the nodes along x.
-        result: To be written over and returned; a new one if None.
     """
-    low, high = _near(body, correction) if body else (_NOWHERE, _EVERYWHERE)
+    low, high = corners(body, correction)
     backward, correction = np.ascontiguousarray(backward), np.ascontiguousarray(correction)
-    field = np.empty_like(backward) if result is None else result
-    spread(lambda first, end: _correct(backward, correction, low, high, first, end, field), FIELD_SIZE)
+    field = np.empty_like(backward)
+    correct(backward, correction, low, high, 0, FIELD_SIZE, field)
     return field
 
 
@@ -57,8 +54,14 @@ def box_between(first: Voxel, end: Voxel) -> Box:
     return (x0 / GRID_SIZE, y0 / GRID_SIZE, z0 / GRID_SIZE), (x1 / GRID_SIZE, y1 / GRID_SIZE, z1 / GRID_SIZE)
 
 
-def _near(body: Box, correction: Lattice) -> tuple[Vector, Vector]:
-    """The box, and around it what the correction inside can amount to. Far from the body there is no bound to it."""
+def corners(body: Box | None, correction: Lattice) -> tuple[Vector, Vector]:
+    """Lowest and highest place that material is corrected at, see `corrected`.
+
+    They are those of the box, and around it what the correction inside can amount to: far from the body there is no
+    bound to it.
+    """
+    if body is None:
+        return _NOWHERE, _EVERYWHERE
     size = correction.shape[1]
     first = [max(math.floor(size * place - 0.5), 0) for place in body[0]]
     end = [math.ceil(size * place + 0.5) for place in body[1]]
@@ -79,63 +82,93 @@ _STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 
 
 @compiled
-def _correct(
+def correct(
     backward: Field, correction: Lattice, low: Vector, high: Vector, first: int, end: int, result: Field
 ) -> None:
-    """`corrected` at the nodes, of some along x, whose material the field says to come from between two corners."""
+    """`corrected` at the nodes, of some along x, whose material the field says to come from between two corners.
+
+    Those of a row along z are gathered first, so that the arithmetic of eight is done at once.
+    """
+    size, columns = correction.shape[1], FIELD_SIZE * FIELD_SIZE
+    fields, lattice = backward.reshape(3, columns * FIELD_SIZE), correction.reshape(3, size * size * size)
+    place, moved, u = _row(), _row(), _row()
+    node, cells, shares = np.empty(FIELD_SIZE, np.int32), np.empty(FIELD_SIZE, np.int32), _shares()
     for i in range(first, end):
         for j in range(FIELD_SIZE):
+            x, y, before, count = _STEPS[i], _STEPS[j], (i * FIELD_SIZE + j) * FIELD_SIZE, 0
             for k in range(FIELD_SIZE):
-                x, y, z = _STEPS[i], _STEPS[j], _STEPS[k]
-                ux, uy, uz = backward[0, i, j, k], backward[1, i, j, k], backward[2, i, j, k]
-                at_x, at_y, at_z = x - ux, y - uy, z - uz
-                outside_x, outside_y = at_x < low[0] or at_x > high[0], at_y < low[1] or at_y > high[1]
-                if not (outside_x or outside_y or at_z < low[2] or at_z > high[2]):
-                    dx, dy, dz = _vector_at(correction, at_x, at_y, at_z)
-                    ux, uy, uz = _vector_at(backward, x - dx, y - dy, z - dz)
-                    ux, uy, uz = ux + dx, uy + dy, uz + dz
-                    squared = ux * ux + uy * uy + uz * uz
-                    held = z / np.sqrt(squared) if squared > z * z else _ONE
-                    ux, uy, uz = held * ux, held * uy, held * uz
+                ux, uy, uz = fields[0, before + k], fields[1, before + k], fields[2, before + k]
                 result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = ux, uy, uz
+                at_x, at_y, at_z = x - ux, y - uy, _STEPS[k] - uz
+                outside = (at_x < low[0]) | (at_x > high[0]) | (at_y < low[1]) | (at_y > high[1])
+                outside |= (at_z < low[2]) | (at_z > high[2])
+                node[count], place[0, count], place[1, count], place[2, count] = k, at_x, at_y, at_z
+                count += int(not outside)
+            if count == 0:
+                continue
+            _find_cells(place, size, count, cells, shares)
+            _interpolate(lattice, size, cells, shares, count, moved)
+            for n in range(count):
+                place[0, n], place[1, n], place[2, n] = x - moved[0, n], y - moved[1, n], _STEPS[node[n]] - moved[2, n]
+            _find_cells(place, FIELD_SIZE, count, cells, shares)
+            _interpolate(fields, FIELD_SIZE, cells, shares, count, u)
+            for n in range(count):
+                ux, uy, uz, z = u[0, n] + moved[0, n], u[1, n] + moved[1, n], u[2, n] + moved[2, n], _STEPS[node[n]]
+                squared = ux * ux + uy * uy + uz * uz
+                held = z / np.sqrt(squared) if squared > z * z else _ONE
+                u[0, n], u[1, n], u[2, n] = held * ux, held * uy, held * uz
+            for n in range(count):
+                k = np.uintp(node[n])
+                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = u[0, n], u[1, n], u[2, n]
 
 
 @compiled
-def _vector_at(lattice: Lattice, x: np.float32, y: np.float32, z: np.float32) -> Vector:
-    """Trilinear lookup at a place in edges of the grid."""
-    i, a = _cell_of(x, lattice.shape[1])
-    j, b = _cell_of(y, lattice.shape[2])
-    k, c = _cell_of(z, lattice.shape[3])
-    p, q, r, s = (_ONE - a) * (_ONE - b), (_ONE - a) * b, a * (_ONE - b), a * b
-    return (
-        _mean(lattice, 0, i, j, k, p, q, r, s, c), _mean(lattice, 1, i, j, k, p, q, r, s, c),
-        _mean(lattice, 2, i, j, k, p, q, r, s, c),
-    )  # fmt: skip
+def _row() -> Row:
+    """Room for a vector at every node of a row."""
+    return np.empty((3, FIELD_SIZE), np.float32)
 
 
 @compiled
-def _cell_of(place: np.float32, size: int) -> tuple[np.uintp, np.float32]:
-    """The node below, and what the one above it counts for."""
-    place = place * np.float32(size) - _HALF
-    place = place if place > _ZERO else _ZERO  # nor is what is no number
-    last = np.float32(size - 1)
-    place = place if place < last else last
-    below = min(np.int32(place), np.int32(size - 2))
+def _shares() -> Shares:
+    """Room for what `_find_cells` finds."""
+    return np.empty((5, FIELD_SIZE), np.float32)
+
+
+@compiled
+def _find_cells(place: Row, size: int, count: int, cells: Int32[np.ndarray, " n"], shares: Shares) -> None:
+    """The cells of a lattice that places in edges of the grid lie in: the number of each one's lowest node.
+
+    The shares are those of its four edges along z and of their upper ends.
+    """
+    per_edge, last, nodes, lowest = np.float32(size), np.float32(size - 1), np.int32(size), np.int32(size - 2)
+    for n in range(count):
+        a, b, c = place[0, n] * per_edge - _HALF, place[1, n] * per_edge - _HALF, place[2, n] * per_edge - _HALF
+        # nor is below zero what is no number
+        a, b, c = (a if a > _ZERO else _ZERO), (b if b > _ZERO else _ZERO), (c if c > _ZERO else _ZERO)
+        a, b, c = (a if a < last else last), (b if b < last else last), (c if c < last else last)
+        i, j, k = min(np.int32(a), lowest), min(np.int32(b), lowest), min(np.int32(c), lowest)
+        cells[n] = np.int32(np.int32(i * nodes + j) * nodes + k)
+        a, b = a - np.float32(i), b - np.float32(j)
+        shares[0, n], shares[1, n] = (_ONE - a) * (_ONE - b), (_ONE - a) * b
+        shares[2, n], shares[3, n], shares[4, n] = a * (_ONE - b), a * b, c - np.float32(k)
+
+
+@compiled
+def _interpolate(
+    lattice: Float32[np.ndarray, "3 nodes"], size: int, cells: Int32[np.ndarray, " n"], shares: Shares, count: int,
+    result: Row,
+) -> None:  # fmt: skip
+    """Trilinear in the cells that `_find_cells` found."""
     # an index without a sign is not looked at for counting from the end
-    return np.uintp(below), place - np.float32(below)
-
-
-@compiled
-def _mean(
-    lattice: Lattice, axis: int, i: np.uintp, j: np.uintp, k: np.uintp,
-    p: np.float32, q: np.float32, r: np.float32, s: np.float32, c: np.float32,
-) -> np.float32:  # fmt: skip
-    """One component in a cell: p, q, r, s are the shares of its edges along z, c that of their upper ends."""
-    low = (p * lattice[axis, i, j, k] + q * lattice[axis, i, j + _NEXT, k]) + (
-        r * lattice[axis, i + _NEXT, j, k] + s * lattice[axis, i + _NEXT, j + _NEXT, k]
-    )
-    k += _NEXT
-    high = (p * lattice[axis, i, j, k] + q * lattice[axis, i, j + _NEXT, k]) + (
-        r * lattice[axis, i + _NEXT, j, k] + s * lattice[axis, i + _NEXT, j + _NEXT, k]
-    )
-    return np.float32(low + c * (high - low))
+    along_y, along_x = np.uintp(size), np.uintp(size * size)
+    for n in range(count):
+        cell, p, q, r, s, c = np.uintp(cells[n]), shares[0, n], shares[1, n], shares[2, n], shares[3, n], shares[4, n]
+        for axis in range(3):
+            values = lattice[axis]
+            low = (p * values[cell] + q * values[cell + along_y]) + (
+                r * values[cell + along_x] + s * values[cell + along_x + along_y]
+            )
+            high = (p * values[cell + _NEXT] + q * values[cell + along_y + _NEXT]) + (
+                r * values[cell + along_x + _NEXT] + s * values[cell + along_x + along_y + _NEXT]
+            )
+            result[axis, n] = low + c * (high - low)

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, UInt8
 
 from service.core.arrays import GRID_SIZE, Occupancy, Probability
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
-from service.core.displacement import Box, Field, box_between
+from service.core.displacement import Box, Field, Lattice, Vector, box_between, corners, correct
 from service.core.extent import Voxel, filled_range
-from service.core.prior_field import FIELD_SIZE
+from service.core.reach import CELLS, cells_of, nodes_of, tell_tops
 from service.core.smoothing import smoothed, sure_of
 from service.core.spread import Spread, in_turn
 
@@ -25,12 +25,6 @@ DOUBT, DOUBT_OF_MOTION = 0.09, 3.6
 material has come adds to it, in squares, as the error of an answer grows with it. The likeliest on the validation
 samples of `everyday`; docs/runs.md tells what they give."""
 
-CELLS = FIELD_SIZE + 1
-"""Cells of the field along each edge of the grid: between neighbouring nodes, and beyond the outermost."""
-
-Tops: TypeAlias = Int64[np.ndarray, "x=33 y=33"]
-"""Of each column of cells: the voxel after the last that is looked up, 0 for none."""
-Layer: TypeAlias = Bool[np.ndarray, "x=64 y=64"]
 Values: TypeAlias = Float32[np.ndarray, "x y z"]
 Flat: TypeAlias = Float32[np.ndarray, " voxels"]
 Kinds: TypeAlias = UInt8[np.ndarray, " voxels"]
@@ -47,6 +41,27 @@ class Inside:
     """
 
     values: Probability
+    probable: bool
+
+
+class _Known(NamedTuple):
+    """What the body is looked up in: the box of its voxels and one more on each side, and two of zeros around these.
+
+    Attributes:
+        sole: Lowest voxels of the body in the whole grid.
+        values: The voxels, in C order.
+        kinds: Of the eight values from each on, whether they are all 0, all 1 or neither.
+        shape: Of `values`.
+        low, high: The box, without the zeros.
+        probable: See `Inside`.
+    """
+
+    sole: Bool[np.ndarray, "x=64 y=64"]
+    values: Flat
+    kinds: Kinds
+    shape: Voxel
+    low: Voxel
+    high: Voxel
     probable: bool
 
 
@@ -76,10 +91,8 @@ class Warp:
     """
 
     def __init__(self, rest: Occupancy, inside: Inside | None = None) -> None:
-        self._probable = inside is not None and inside.probable
-        self._sole = np.ascontiguousarray(rest[:, :, 0])
         filled = filled_range(rest)
-        self._box: tuple[Voxel, Voxel] | None = None
+        self._known: _Known | None = None
         self.body: Box | None = None
         if filled is not None:
             self.body = box_between(*filled)
@@ -87,39 +100,52 @@ class Warp:
             (x, y, z), (end_x, end_y, end_z) = filled
             low = (max(x - 1, 0), max(y - 1, 0), max(z - 1, 0))
             high = (min(end_x + 1, GRID_SIZE), min(end_y + 1, GRID_SIZE), min(end_z + 1, GRID_SIZE))
-            self._box = low, high
             part = tuple(slice(*ends) for ends in zip(low, high, strict=True))
             values = smoothed(rest[part]) if inside is None else sure_of(rest[part], inside.values[part])
             # Two voxels of zeros on every side stand for everything outside.
-            self._values = np.zeros([size + 4 for size in values.shape], np.float32)
-            self._values[2:-2, 2:-2, 2:-2] = values
-            self._kinds = np.zeros(self._values.shape, np.uint8)
-            _tell_kinds(self._values, self._kinds)
+            around = np.zeros([size + 4 for size in values.shape], np.float32)
+            around[2:-2, 2:-2, 2:-2] = values
+            kinds = np.zeros(around.shape, np.uint8)
+            _tell_kinds(around, kinds)
+            sole, (sx, sy, sz) = np.ascontiguousarray(rest[:, :, 0]), around.shape
+            probable = inside is not None and inside.probable
+            self._known = _Known(sole, around.ravel(), kinds.ravel(), (sx, sy, sz), low, high, probable)
 
-    def __call__(self, field: Field, spread: Spread = in_turn, result: Probability | None = None) -> Probability:
+    def __call__(self, field: Field) -> Probability:
         """Occupancy after one load.
 
         Args:
             field: See `warp`.
-            spread: Over the voxels along x.
-            result: To be written over and returned; a new one if None.
         """
-        probability = np.empty((GRID_SIZE,) * 3, np.float32) if result is None else result
-        if self._box is None:
-            probability[...] = 0.0
-            return probability
-        field = np.ascontiguousarray(field)
-        tops = np.empty((CELLS, CELLS), np.int64)
-        _tell_tops(field, *self._box, tops)
-        (x, y, z), (sx, sy, sz) = self._box[0], self._values.shape
-        values, kinds = self._values.ravel(), self._kinds.ravel()
-
-        def look_up(first: int, end: int) -> None:
-            shape, corner = (sx, sy, sz), (x - 2, y - 2, z - 2)
-            _look_up(field, self._sole, values, kinds, shape, corner, tops, first, end, self._probable, probability)
-
-        spread(look_up, GRID_SIZE)
+        probability = np.zeros((GRID_SIZE,) * 3, np.float32)
+        if self._known is not None:
+            _look_up(np.ascontiguousarray(field), self._known, 0, GRID_SIZE, probability)
         return probability
+
+    def corrected(
+        self, backward: Field, correction: Lattice, field: Field, probability: Probability, spread: Spread = in_turn
+    ) -> None:
+        """The field of a load, corrected around the body, see `service.core.displacement`, and occupancy after it.
+
+        Args:
+            backward: Displacement in edges of the grid that lacks a correction.
+            correction: What it lacks, on a lattice of its own.
+            field: Is written over with the corrected field.
+            probability: Is written over with the occupancy.
+            spread: Over the voxels along x.
+        """
+        known, (low, high) = self._known, corners(self.body, correction)
+        if known is None:
+            field[...] = backward
+            probability[...] = 0.0
+            return
+        backward, correction = np.ascontiguousarray(backward), np.ascontiguousarray(correction)
+        spread(
+            lambda first, end: _correct_and_look_up(
+                backward, correction, low, high, known, first, end, field, probability
+            ),
+            GRID_SIZE,
+        )
 
 
 _ZERO, _ONE, _EIGHT = (np.float32(number) for number in (0.0, 1.0, 8.0))
@@ -129,61 +155,30 @@ _NEXT = np.uintp(1)
 """An index without a sign is not looked at for counting from the end."""
 _EMPTY, _MIXED, _FULL = (np.uint8(kind) for kind in range(3))
 _VOXELS = np.float32(GRID_SIZE)
-_STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
-_REACH = 1.01
-"""Voxels beyond the box that count as it: half a one in which the values fall to zero, half a one that the outermost
-voxels lie beyond the outermost nodes, and a little for rounding."""
 
 
 @compiled
-def _tell_tops(field: Field, first: Voxel, end: Voxel, tops: Tops) -> None:
-    """How high the voxels reach that may come from the box of voxels from `first` to before `end`.
-
-    A voxel comes from somewhere between the places that the eight nodes around it come from. If all of these lie
-    beyond one and the same side of the box, so does the voxel's.
-    """
-    low_x, low_y, low_z = _edge(first[0], -_REACH), _edge(first[1], -_REACH), _edge(first[2], -_REACH)
-    high_x, high_y, high_z = _edge(end[0], _REACH), _edge(end[1], _REACH), _edge(end[2], _REACH)
-    beyond = np.empty((2, FIELD_SIZE, FIELD_SIZE), np.uint8)  # a bit for each side, of the nodes of two x
-    row = np.empty(FIELD_SIZE, np.uint8)
-    for i in range(CELLS):
-        if i < FIELD_SIZE:
-            for j in range(FIELD_SIZE):
-                for k in range(FIELD_SIZE):
-                    x, y = _STEPS[i] - field[0, i, j, k], _STEPS[j] - field[1, i, j, k]
-                    z = _STEPS[k] - field[2, i, j, k]
-                    side_x = np.uint8(x < low_x) | np.uint8(x > high_x) << np.uint8(1)
-                    side_y = np.uint8(y < low_y) | np.uint8(y > high_y) << np.uint8(1)
-                    side_z = np.uint8(z < low_z) | np.uint8(z > high_z) << np.uint8(1)
-                    beyond[i % 2, j, k] = side_x | side_y << np.uint8(2) | side_z << np.uint8(4)
-        here, before = min(i, FIELD_SIZE - 1) % 2, max(i - 1, 0) % 2
-        for j in range(CELLS):
-            upper, lower = min(j, FIELD_SIZE - 1), max(j - 1, 0)
-            for k in range(FIELD_SIZE):
-                row[k] = beyond[here, upper, k] & beyond[here, lower, k]
-                row[k] &= beyond[before, upper, k] & beyond[before, lower, k]
-            top = CELLS
-            while top > 0 and row[max(top - 2, 0)] & row[min(top - 1, FIELD_SIZE - 1)]:
-                top -= 1
-            # cell c holds the voxels 2 c - 1 and 2 c
-            tops[i, j] = min(2 * top - 1, GRID_SIZE) if top else 0
-            # the lowest voxels of the body do not move, whatever the field says
-            if first[0] <= 2 * i <= end[0] and first[1] <= 2 * j <= end[1]:
-                tops[i, j] = max(tops[i, j], 1)
-
-
-@compiled
-def _edge(voxel: int, beyond: float) -> np.float32:
-    """Where a voxel begins, in edges of the grid."""
-    return np.float32((voxel + beyond) / GRID_SIZE)
-
-
-@compiled
-def _look_up(
-    field: Field, sole: Layer, values: Flat, kinds: Kinds, shape: Voxel, corner: Voxel, tops: Tops,
-    first_x: int, end_x: int, probable: bool, probability: Probability,
+def _correct_and_look_up(
+    backward: Field, correction: Lattice, low: Vector, high: Vector, known: _Known, first_x: int, end_x: int,
+    field: Field, probability: Probability,
 ) -> None:  # fmt: skip
-    """Values at y - u(y) for the voxels y below the tops, 0 above; `corner` is the voxel of the first value."""
+    """Both for some voxels along x: the nodes on either side of them are corrected first.
+
+    Two parts have nodes in common, which each of them corrects for itself, to the same bits.
+    """
+    first, end = nodes_of(first_x, end_x)
+    correct(backward, correction, low, high, first, end, field)
+    _look_up(field, known, first_x, end_x, probability)
+
+
+@compiled
+def _look_up(field: Field, known: _Known, first_x: int, end_x: int, probability: Probability) -> None:
+    """Values at y - u(y) for the voxels y of some layers along x."""
+    sole, values, kinds, shape, probable = known.sole, known.values, known.kinds, known.shape, known.probable
+    corner = (known.low[0] - 2, known.low[1] - 2, known.low[2] - 2)  # the voxel of the first value
+    tops = np.empty((CELLS, CELLS), np.int64)
+    first_cell, end_cell = cells_of(first_x, end_x)
+    tell_tops(field, known.low, known.high, first_cell, end_cell, tops)
     coarse, slab, u = scratch()
     share, cells = np.empty((3, GRID_SIZE), np.float32), np.empty(GRID_SIZE, np.int32)
     mixed = np.empty(GRID_SIZE + 1, np.int32)

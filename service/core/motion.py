@@ -1,4 +1,4 @@
-"""How far the voxels of a body have moved under a load."""
+"""Where a body is after a load, and how far its voxels have moved."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float32
 
-from service.core.arrays import GRID_SIZE, Eights, Occupancy
+from service.core.arrays import GRID_SIZE, Eights, Occupancy, Probability
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
 from service.core.displacement import Field
@@ -19,18 +19,21 @@ class Motion:
     """How a body's voxels have moved.
 
     Attributes:
-        moved_m: Displacement, along the axes of the grid, of the material now at each voxel of the deformed body;
-            the voxels in C order.
+        deformed: Voxels of the deformed body.
+        moved_m: Displacement, along the axes of the grid, of the material now at each of them, in C order.
         max_m, mean_m: Lengths over the deformed body; 0 where it is empty.
     """
 
+    deformed: Occupancy
     moved_m: Float32[np.ndarray, "axis=3 n"]
     max_m: float
     mean_m: float
 
 
-def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float, spread: Spread = in_turn) -> Motion:
-    """The field at the voxels of the deformed body.
+def motion(
+    field: Field, rest: Occupancy, probability: Probability, threshold: float, edge_m: float, spread: Spread = in_turn
+) -> Motion:
+    """The body after a load, and the field at its voxels.
 
     Between its nodes it is trilinear, and beyond the outermost the last value holds. The lowest voxels of the body at
     rest do not move: they lie half a voxel above what is clamped.
@@ -38,33 +41,52 @@ def motion(field: Field, rest: Occupancy, deformed: Occupancy, edge_m: float, sp
     Args:
         field: Backward displacement in edges of the grid.
         rest: The body before the load.
-        deformed: The body after it.
+        probability: That a voxel is in the body after it.
+        threshold: Above which it is taken to be.
         edge_m: Edge of the grid in metres.
         spread: Over the voxels along x.
     """
-    field, deformed = np.ascontiguousarray(field), np.ascontiguousarray(deformed)
-    moved_m = np.empty((3, np.count_nonzero(deformed)), np.float32)
-    if moved_m.size == 0:
-        return Motion(moved_m, 0.0, 0.0)
-    sole, eights, edge = np.ascontiguousarray(rest[:, :, 0]), deformed.view(np.uint64), np.float32(edge_m)
+    field, probability = np.ascontiguousarray(field), np.ascontiguousarray(probability)
+    sole, edge, least = np.ascontiguousarray(rest[:, :, 0]), np.float32(edge_m), np.float32(threshold)
+    deformed = np.empty(probability.shape, np.bool_)
+    eights = deformed.view(np.uint64)
+    parts: dict[int, tuple[Float32[np.ndarray, "axis=3 n"], float, float]] = {}
 
     def gather(first: int, end: int) -> None:
-        before = int(np.count_nonzero(deformed[:first]))
-        _gather(field, sole, deformed, eights, edge, first, end, before, moved_m)
+        moved_m = np.empty((3, _tell_deformed(probability, least, first, end, deformed)), np.float32)
+        parts[first] = moved_m, *_gather(field, sole, deformed, eights, edge, first, end, moved_m)
 
     spread(gather, GRID_SIZE)
-    x, y, z = moved_m
-    lengths_m = np.sqrt(x * x + y * y + z * z)
-    return Motion(moved_m, float(lengths_m.max()), float(lengths_m.mean()))
+    gathered, longest_m, total_m = zip(*(part for _, part in sorted(parts.items())), strict=True)
+    moved_m = gathered[0] if len(gathered) == 1 else np.concatenate(gathered, axis=1)
+    return Motion(deformed, moved_m, max(longest_m), sum(total_m) / max(moved_m.shape[1], 1))
+
+
+@compiled
+def _tell_deformed(
+    probability: Probability, threshold: np.float32, first_x: int, end_x: int, deformed: Occupancy
+) -> int:
+    """Which voxels of some layers are above the threshold, and how many."""
+    count = 0
+    for x in range(first_x, end_x):
+        for y in range(GRID_SIZE):
+            column = np.int32(0)
+            for z in range(GRID_SIZE):
+                above = probability[x, y, z] > threshold
+                deformed[x, y, z] = above
+                column = np.int32(column + np.int32(above))
+            count += int(column)
+    return count
 
 
 @compiled
 def _gather(
     field: Field, sole: Bool[np.ndarray, "x=64 y=64"], deformed: Occupancy, eights: Eights, edge_m: np.float32,
-    first_x: int, end_x: int, n: int, moved_m: Float32[np.ndarray, "axis=3 n"],
-) -> None:  # fmt: skip
-    """`motion`: metres at every filled voxel of some layers, the first of which is number n of the body."""
+    first_x: int, end_x: int, moved_m: Float32[np.ndarray, "axis=3 n"],
+) -> tuple[float, float]:  # fmt: skip
+    """Metres at every filled voxel of some layers; returned are the greatest length and the sum of all."""
     coarse, slab, u = scratch()
+    n, longest, total = 0, np.float32(0.0), 0.0
     for x in range(first_x, end_x):
         first, end = GRID_SIZE, 0
         for y in range(GRID_SIZE):
@@ -77,10 +99,17 @@ def _gather(
             if not _any(eights, x, y):
                 continue
             fill_column(slab, sole[x, y], y, GRID_SIZE, u)
+            before = n
             for z in range(GRID_SIZE):
                 if deformed[x, y, z]:
                     moved_m[0, n], moved_m[1, n], moved_m[2, n] = edge_m * u[0, z], edge_m * u[1, z], edge_m * u[2, z]
                     n += 1
+            for m in range(before, n):
+                a, b, c = moved_m[0, m], moved_m[1, m], moved_m[2, m]
+                length = np.sqrt(a * a + b * b + c * c)
+                longest = max(longest, length)
+                total += length
+    return float(longest), total
 
 
 @compiled

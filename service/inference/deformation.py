@@ -12,7 +12,6 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
-from service.core.displacement import corrected
 from service.core.lookup import Inside
 from service.core.manifest import Manifest
 from service.core.prior import Nodal
@@ -124,8 +123,7 @@ class DeformationModel:
             probability = np.empty((loads, *rest.shape), np.float32)
 
             def carry(i: int, spread: Spread) -> None:
-                corrected(backward[i], correction[i], warp.body, spread, field[i])
-                warp(field[i], spread, probability[i])
+                warp.corrected(backward[i], correction[i], field[i], probability[i], spread)
 
             self.spare.each(carry, loads)
             return Deformation(probability, field)

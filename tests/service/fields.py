@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from service.core.spread import Spread, Work
+
 
 def at_voxels(field: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """The field at the centres of 64³ voxels, a quarter of the way between nodes; the last value outside."""
@@ -20,3 +22,13 @@ def at_voxels(field: np.ndarray, rest: np.ndarray) -> np.ndarray:
 def bent(seed: int, peak: float = 0.03) -> np.ndarray:
     coarse = np.random.default_rng(seed).normal(0.0, peak, (3, 4, 4, 4)).astype(np.float32)
     return np.ascontiguousarray(coarse.repeat(8, 1).repeat(8, 2).repeat(8, 3))
+
+
+def parted(middle: int) -> Spread:
+    """Work in two parts, the upper one first, as another thread may be sooner."""
+
+    def spread(work: Work, end: int) -> None:
+        work(middle, end)
+        work(0, middle)
+
+    return spread

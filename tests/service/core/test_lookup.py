@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
 
+from service.core.displacement import corrected
 from service.core.lookup import DOUBT, DOUBT_OF_MOTION, EVEN, Inside, Warp, warp
 from service.core.smoothing import smoothed
-from tests.service.fields import at_voxels, bent
+from tests.service.fields import at_voxels, bent, parted
 
 
 def at(values: np.ndarray, places: np.ndarray) -> np.ndarray:
@@ -42,6 +43,26 @@ def test_warping_looks_the_body_up_where_each_voxel_comes_from(corner: tuple[int
     np.testing.assert_allclose(warp(rest, field), probability(expected, displacement), atol=4e-4)
     np.testing.assert_array_equal(Warp(rest, Inside(smooth, probable=False))(field), warp(rest, field))
     assert not warp(np.zeros_like(rest), field).any()
+
+
+@pytest.mark.parametrize("middle", [1, 31, 32, 63])
+def test_two_parts_find_what_the_whole_does(middle: int) -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[20:44, 12:50, :40] = True
+    backward, correction = bent(5, 0.1), bent(6)[:, ::2, ::2, ::2]
+    body = Warp(rest)
+    field, probability = np.full_like(backward, np.nan), np.full(rest.shape, np.nan, np.float32)
+    body.corrected(backward, correction, field, probability, parted(middle))
+    np.testing.assert_array_equal(field, corrected(backward, correction, body.body))
+    np.testing.assert_array_equal(probability, body(field))
+    assert 5000 < (probability > 0.5).sum() < rest.sum() * 1.2
+
+
+def test_nothing_is_corrected_where_there_is_no_body() -> None:
+    field, probability = np.full((3, 32, 32, 32), np.nan, np.float32), np.full((64, 64, 64), np.nan, np.float32)
+    Warp(np.zeros((64, 64, 64), bool)).corrected(bent(7), bent(8)[:, ::2, ::2, ::2], field, probability)
+    np.testing.assert_array_equal(field, bent(7))
+    assert not probability.any()
 
 
 def test_a_body_that_leaves_the_grid_is_gone() -> None:

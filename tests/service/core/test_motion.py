@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from service.core.motion import motion
-from tests.service.fields import at_voxels, bent
+from tests.service.fields import at_voxels, bent, parted
 
 
 def test_motion_is_the_field_in_the_deformed_body_in_metres() -> None:
@@ -10,7 +10,8 @@ def test_motion_is_the_field_in_the_deformed_body_in_metres() -> None:
     rest, deformed = rng.random((2, 64, 64, 64)) < 0.1
     deformed[:, 20:23] = deformed[5] = False
     field = bent(2)
-    moved = motion(field, rest, deformed, 0.3)
+    moved = motion(field, rest, 0.4 + 0.2 * deformed.astype(np.float32), 0.5, 0.3)
+    np.testing.assert_array_equal(moved.deformed, deformed)
     expected = 0.3 * at_voxels(field, rest)[:, deformed]
     np.testing.assert_allclose(moved.moved_m, expected, atol=1e-7)
     lengths_m = np.linalg.norm(expected, axis=0)
@@ -19,8 +20,9 @@ def test_motion_is_the_field_in_the_deformed_body_in_metres() -> None:
 
 
 def test_nothing_has_not_moved() -> None:
-    nothing = np.zeros((64, 64, 64), bool)
-    moved = motion(bent(3), nothing, nothing, 0.3)
+    nothing = np.zeros((64, 64, 64), np.float32)
+    moved = motion(bent(3), nothing > 0.5, nothing, 0.5, 0.3)
+    assert not moved.deformed.any()
     assert (moved.max_m, moved.mean_m) == (0.0, 0.0)
     assert moved.moved_m.shape == (3, 0)
 
@@ -28,8 +30,19 @@ def test_nothing_has_not_moved() -> None:
 def test_what_stands_on_the_floor_does_not_move() -> None:
     rest = np.zeros((64, 64, 64), bool)
     rest[10:20, 10:20, :5] = True
-    everywhere = np.ones_like(rest)
-    moved_m = motion(np.ones((3, 32, 32, 32), np.float32), rest, everywhere, 1.0).moved_m.reshape(3, 64, 64, 64)
+    everywhere = np.ones(rest.shape, np.float32)
+    moved_m = motion(np.ones((3, 32, 32, 32), np.float32), rest, everywhere, 0.5, 1.0).moved_m.reshape(3, 64, 64, 64)
     assert not moved_m[:, 10:20, 10:20, 0].any()
     assert moved_m[:, 9, 10, 0].all()
     assert moved_m[:, :, :, 1:].all()
+
+
+def test_two_parts_are_the_whole() -> None:
+    rng = np.random.default_rng(8)
+    rest, probability, field = rng.random((64, 64, 64)) < 0.1, rng.random((64, 64, 64), np.float32), bent(4)
+    whole = motion(field, rest, probability, 0.7, 0.3)
+    for middle in (1, 31, 32, 45):
+        parts = motion(field, rest, probability, 0.7, 0.3, parted(middle))
+        np.testing.assert_array_equal(parts.deformed, whole.deformed)
+        np.testing.assert_array_equal(parts.moved_m, whole.moved_m)
+        assert (parts.max_m, parts.mean_m) == (whole.max_m, pytest.approx(whole.mean_m, rel=1e-12))

@@ -16,12 +16,12 @@ from service.inference.registry import Models, load_models
 BODY = np.zeros((64, 64, 64), bool)
 BODY[24:40, 20:44, 0:44] = True
 """A block on the floor, pushed on its upper end."""
-EVERYWHERE = np.ones_like(BODY)
+EVERYWHERE = np.ones(BODY.shape, np.float32)
 
 
 def displacement(field: np.ndarray) -> np.ndarray:
     """At every voxel, in edges of the grid."""
-    return motion(field, BODY, EVERYWHERE, 1.0).moved_m.reshape(3, 64, 64, 64)
+    return motion(field, BODY, EVERYWHERE, 0.5, 1.0).moved_m.reshape(3, 64, 64, 64)
 
 
 def push(y: float = 0.5, direction: tuple[float, float, float] = (1.0, 0.0, 0.0), log_load: float = -2.5) -> np.ndarray:
