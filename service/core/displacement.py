@@ -118,8 +118,8 @@ def correct(
                 held = z / np.sqrt(squared) if squared > z * z else _ONE
                 u[0, n], u[1, n], u[2, n] = held * ux, held * uy, held * uz
             for n in range(count):
-                k = np.uintp(node[n])
-                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = u[0, n], u[1, n], u[2, n]
+                at = np.uintp(node[n])
+                result[0, i, j, at], result[1, i, j, at], result[2, i, j, at] = u[0, n], u[1, n], u[2, n]
 
 
 @compiled

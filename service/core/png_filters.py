@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
 from service.core.compiled import compiled
 
 NONE, SUB, UP, AVERAGE, PAETH = range(5)
+
+Filtered: TypeAlias = UInt8[np.ndarray, " filtered"]
+Line: TypeAlias = UInt16[np.ndarray, " width"]
+Bytes: TypeAlias = tuple[np.int64, np.int64]
+
+_NOTHING = np.int64(0), np.int64(0)
 
 
 @compiled
@@ -40,11 +48,14 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
     nothing_above = np.empty(width, np.uint16)
     for column in range(width):
         nothing_above[column] = 0
+    after = 0
     for row in range(len(counts)):
+        if row < after:
+            continue
         filtered, line = rows[row], counts[row]
         above = counts[row - 1] if row > 0 else nothing_above
-        kind = filtered[0]
-        high = low = corner_high = corner_low = np.int64(0)
+        kind, after = filtered[0], row + 1
+        high = low = np.int64(0)
         if kind == NONE:
             for column in range(width):
                 line[column] = np.uint16(filtered[2 * column + 1]) << 8 | filtered[2 * column + 2]
@@ -66,18 +77,59 @@ def unfilter(rows: UInt8[np.ndarray, "height filtered"], counts: UInt16[np.ndarr
                 low = (((low + (up & 255)) >> 1) + filtered[2 * column + 2]) & 255
                 line[column] = high << 8 | low
         elif kind == PAETH:
-            for column in range(width):
-                up = np.int64(above[column])
-                # High bytes seldom change, and above two of the same the guess is what is on the left.
-                if up >> 8 != corner_high:
-                    high = _paeth(high, up >> 8, corner_high)
-                high = (high + filtered[2 * column + 1]) & 255
-                low = (_paeth(low, up & 255, corner_low) + filtered[2 * column + 2]) & 255
-                corner_high, corner_low = up >> 8, up & 255
-                line[column] = high << 8 | low
+            if after < len(counts) and rows[after, 0] == PAETH and width > 0:
+                _undo_two(filtered, rows[after], above, line, counts[after])
+                after += 1
+            else:
+                _undo_one(filtered, above, line)
         else:
             return False
     return True
+
+
+@compiled
+def _undo_one(filtered: Filtered, above: Line, line: Line) -> None:
+    """A row by Paeth's filter."""
+    left, corner = _NOTHING, _NOTHING
+    for column in range(len(line)):
+        up = _bytes_of(above[column])
+        left = _undo_paeth(filtered, column, left, up, corner)
+        line[column] = left[0] << 8 | left[1]
+        corner = up
+
+
+@compiled
+def _undo_two(filtered: Filtered, filtered_below: Filtered, above: Line, line: Line, below: Line) -> None:
+    """Two rows by Paeth's filter, the lower one column behind: a byte waits for the one on its left, but rows do not
+    wait for each other.
+    """
+    width = len(line)
+    left, left_below, corner, corner_below = _NOTHING, _NOTHING, _NOTHING, _NOTHING
+    for column in range(width):
+        up, before = _bytes_of(above[column]), left
+        left = _undo_paeth(filtered, column, left, up, corner)
+        line[column] = left[0] << 8 | left[1]
+        corner = up
+        if column > 0:
+            left_below = _undo_paeth(filtered_below, column - 1, left_below, before, corner_below)
+            below[column - 1] = left_below[0] << 8 | left_below[1]
+            corner_below = before
+    left_below = _undo_paeth(filtered_below, width - 1, left_below, left, corner_below)
+    below[width - 1] = left_below[0] << 8 | left_below[1]
+
+
+@compiled
+def _undo_paeth(filtered: Filtered, column: int, left: Bytes, up: Bytes, corner: Bytes) -> Bytes:
+    """A count's two bytes; high bytes seldom change, and above two of the same the guess is what is on the left."""
+    high = left[0] if up[0] == corner[0] else _paeth(left[0], up[0], corner[0])
+    low = _paeth(left[1], up[1], corner[1])
+    return (high + filtered[2 * column + 1]) & 255, (low + filtered[2 * column + 2]) & 255
+
+
+@compiled
+def _bytes_of(count: np.uint16) -> Bytes:
+    """High and low."""
+    return np.int64(count) >> 8, np.int64(count) & 255
 
 
 @compiled

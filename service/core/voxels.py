@@ -20,6 +20,7 @@ from service.core.arrays import (
 )
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
+from service.core.extent import filled_range
 from service.core.grids import Grid, centres_seen_from, cross
 
 EDGE_OVER_EXTENT = 1.35
@@ -67,11 +68,10 @@ class VoxelView:
         A camera that stands higher than all it sees of the object sees its highest point too: what could hide it would
         be higher still.
         """
-        # One axis after the other takes a sixth of the time of both at once.
-        seen = np.flatnonzero(self.observed.any(axis=0).any(axis=0))
-        if len(seen) == 0:
+        seen = filled_range(self.observed)
+        if seen is None:
             return GRID_SIZE
-        above = int(seen[-1]) + 1
+        above = seen[1][2]
         camera_height = float(self.grid.grid_from_camera[2, 3]) / self.grid.pitch_m
         return above if camera_height > above else GRID_SIZE
 

@@ -44,6 +44,18 @@ def test_every_filter_is_undone_whatever_comes_above_it(first: int) -> None:
     np.testing.assert_array_equal(found, grey)
 
 
+@pytest.mark.parametrize("width", [1, 2, 17])
+@pytest.mark.parametrize("rows", [2, 3, 4])
+def test_paeths_filter_is_undone_in_rows_below_each_other(rows: int, width: int) -> None:
+    rng = np.random.default_rng(rows)
+    counts = rng.integers(0, 2**16, (rows + 2, width), np.uint16)
+    counts[:, ::3] = 700 + rng.integers(0, 40, counts[:, ::3].shape)
+    for kinds in ([4] * (rows + 2), [2, *[4] * rows, 1]):
+        found = np.empty_like(counts)
+        assert unfilter(filtered(counts, kinds), found)
+        np.testing.assert_array_equal(found, counts)
+
+
 def test_a_filter_that_is_none_is_told() -> None:
     rows = np.zeros((2, 7), np.uint8)
     rows[1, 0] = 5
