@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Int
 
-from service.core.arrays import GRID_SIZE, Eights, Occupancy
+from service.core.arrays import Eights, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import Voxel
 
@@ -33,14 +32,22 @@ def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Divisi
         end: The one after its last.
         cells: At least 1.
     """
-    size = np.subtract(end, first)
-    most = max(min(float(size.prod()) / NARROWEST**3, float(LARGEST_SHARE * cells)), 1.0)
-    words = np.ascontiguousarray(occupancy).view(np.uint64)
+    return _divide(np.ascontiguousarray(occupancy).view(np.uint64), first, end, cells)
+
+
+@compiled
+def _divide(words: Eights, first: Voxel, end: Voxel, cells: int) -> Division:
+    """See `divide`."""
+    size_x, size_y, size_z = end[0] - first[0], end[1] - first[1], end[2] - first[2]
+    volume = float(size_x * size_y * size_z)
+    most = max(min(volume / NARROWEST**3, float(LARGEST_SHARE * cells)), 1.0)
     box, best, nearest = FIRST_SHARE * cells, (1, 1, 1), np.inf
     for _ in range(_ROUNDS):
-        division = _division(size, min(box, most))
-        held = _held(words, np.array(first), _cell_of_voxel(size, division), division)
-        if (off := abs(np.log(held / cells))) < nearest:
+        width = (volume / min(box, most)) ** (1.0 / 3.0)
+        division = _along(size_x, width), _along(size_y, width), _along(size_z, width)
+        held = _held(words, first, (size_x, size_y, size_z), division)
+        off = abs(np.log(held / cells))
+        if off < nearest:
             best, nearest = division, off
         if box >= most or off < 0.1:
             break
@@ -48,36 +55,38 @@ def divide(occupancy: Occupancy, first: Voxel, end: Voxel, cells: int) -> Divisi
     return best
 
 
-def _division(size: Int[np.ndarray, "3"], cells: float) -> Division:
-    width = (size.prod() / cells) ** (1.0 / 3.0)
-    nx, ny, nz = np.maximum(np.round(size / width), 1).astype(int).tolist()
-    return nx, ny, nz
-
-
-def _cell_of_voxel(size: Int[np.ndarray, "3"], division: Division) -> Int[np.ndarray, "3 voxel=64"]:
-    """Along each axis the cell that holds the centre of a voxel of the box."""
-    centres = np.arange(GRID_SIZE) + 0.5
-    cells = centres * np.divide(division, size)[:, None]
-    return np.asarray(np.minimum(cells, np.subtract(division, 1)[:, None]).astype(int))
+@compiled
+def _along(voxels: int, width: float) -> int:
+    """Cells of about a width in so many voxels."""
+    return max(int(np.rint(voxels / width)), 1)
 
 
 @compiled
-def _held(words: Eights, first: Int[np.ndarray, "3"], cell: Int[np.ndarray, "3 voxel=64"], division: Division) -> int:
+def _cell_of(voxel: int, cells: int, voxels: int) -> int:
+    """Which of the cells over so many voxels holds the centre of one."""
+    return min(int((voxel + 0.5) * (cells / voxels)), cells - 1)
+
+
+@compiled
+def _held(words: Eights, first: Voxel, size: Voxel, division: Division) -> int:
     """Cells that hold the centre of a voxel. Columns of voxels in one column of cells are laid on each other first."""
-    nx, ny, _ = division
+    nx, ny, nz = division
     together = np.zeros((nx, ny, words.shape[2]), np.uint64)
-    for x in range(GRID_SIZE - first[0]):
-        for y in range(GRID_SIZE - first[1]):
-            column = together[cell[0, x], cell[1, y]]
+    for x in range(size[0]):
+        i = _cell_of(x, nx, size[0])
+        for y in range(size[1]):
+            column = together[i, _cell_of(y, ny, size[1])]
             for w in range(len(column)):
                 column[w] |= words[first[0] + x, first[1] + y, w]
-    count, one = 0, np.uint64(1)
+    count, one, layers = 0, np.uint64(1), np.empty(size[2], np.int64)
+    for z in range(size[2]):
+        layers[z] = _cell_of(z, nz, size[2])
     for i in range(nx):
         for j in range(ny):
             last = -1
-            for z in range(GRID_SIZE - first[2]):
+            for z in range(size[2]):
                 k = z + first[2]
-                if cell[2, z] != last and together[i, j, k // 8] >> np.uint64(8 * (k % 8)) & one == one:
-                    last = cell[2, z]
+                if layers[z] != last and together[i, j, k // 8] >> np.uint64(8 * (k % 8)) & one == one:
+                    last = layers[z]
                     count += 1
     return count
