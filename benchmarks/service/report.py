@@ -115,7 +115,7 @@ def _run(row: Row, duration_s: float) -> dict[str, Any]:
 def _graphs() -> dict[str, Any]:
     settings = Settings()
     with _service() as service:
-        return against_graphs("grpc-stream", service, settings, sample_question(), repeats=100)
+        return against_graphs("grpc-stream", service, settings, sample_question(), repeats=400)
 
 
 def _what_if() -> dict[str, Any]:

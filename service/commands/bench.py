@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _TARGETS = ("grpc-stream", "grpc", "http-multipart", "http-json")
 GRAPH_REPEATS = 40
+GRAPH_TURN = 8
+"""Questions in a row before it is the networks' turn."""
 
 LOOK_S = 0.5
 """Between two looks at how far a run is."""
@@ -116,12 +118,11 @@ def against_graphs(
     bare = BareGraphs(settings, question)
     graphs: dict[str, list[float]] = {name: [] for name in bare.names}
     answers: list[float] = []
-    turns = 5
-    for _ in range(turns):
+    for _ in range(-(-repeats // GRAPH_TURN)):
         client = make_target(target, service.http, service.grpc, question)
-        alone = asyncio.run(closed_loop(client, max(1, repeats // turns)))
+        alone = asyncio.run(closed_loop(client, GRAPH_TURN))
         answers += [ms for _, ms, outcome in alone.points if outcome == "ok"]
-        for _ in range(max(1, repeats // turns)):
+        for _ in range(GRAPH_TURN):
             for name, times in graphs.items():
                 times.append(bare.time_ms(name))
     medians = {name: float(np.median(times)) for name, times in graphs.items()}
