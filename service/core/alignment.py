@@ -6,9 +6,9 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int32, Int64, UInt8
+from jaxtyping import Float32, Int32, UInt8
 
-from service.core.arrays import GRID_SIZE, Eights, Matrix3, Occupancy, Probability, Vector3
+from service.core.arrays import GRID_SIZE, Eights, Matrix3, Occupancy, Probability, Transform, Vector3
 from service.core.compiled import compiled
 from service.core.errors import EmptyObject
 from service.core.grids import Grid, cross
@@ -17,6 +17,7 @@ from service.core.lookup import between
 Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 Columns: TypeAlias = Int32[np.ndarray, "x=64 y=64 sum=6"]
 """Of a body's voxels with one x and one y: how many there are, the sums of z, z² and z³, the lowest and highest z."""
+Place: TypeAlias = tuple[float, float, float]
 Padded: TypeAlias = Float32[np.ndarray, " voxels=287496"]
 """64³ voxels with one of zeros on every side, in C order."""
 
@@ -47,13 +48,12 @@ def body_grid(occupancy: Occupancy, grid: Grid, up: Vector3 | None = None, on_fl
         EmptyObject: No voxel is occupied.
     """
     columns, mean, spread = _moments(occupancy)
-    upright = np.eye(3) if up is None else _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
-    horizontal = upright[:, :2]
-    (xx, xy), (_, yy) = (horizontal.T @ spread @ horizontal).tolist()
-    # Across the axis of the smallest variance, whose angle is this one.
-    angle = math.atan2(-2.0 * xy, yy - xx) / 2.0
-    x = horizontal @ np.array([-math.sin(angle), math.cos(angle)])
-    return _enclosing_grid(columns, grid, mean, x, upright[:, 2], on_floor)
+    if up is None:
+        x, z = _widest(spread), np.array([0.0, 0.0, 1.0])
+    else:
+        upright = _rotation_with_z(grid.camera_from_grid[:3, :3].T @ up)
+        x, z = upright @ _widest(upright.T @ spread @ upright), upright[:, 2]
+    return _enclosing_grid(columns, grid, mean, x, z, on_floor)
 
 
 def body_grid_free(occupancy: Occupancy, grid: Grid) -> Grid:
@@ -96,12 +96,18 @@ def _moments(occupancy: Occupancy) -> tuple[Columns, Vector3, Matrix3]:
     """
     filled = np.ascontiguousarray(occupancy)
     columns = np.zeros((GRID_SIZE, GRID_SIZE, 6), np.int32)
-    first, second = np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
-    count = _sums(filled.view(np.uint8), filled.view(np.uint64), columns, first, second)
-    if count == 0:
+    mean, spread = np.empty(3), np.empty((3, 3))
+    if _sums(filled.view(np.uint8), filled.view(np.uint64), columns, mean, spread) == 0:
         raise EmptyObject("The reconstruction is empty: no voxel of the object is left to align.", field="depth")
-    # In integers: rounding must not choose the axes of a body that is as wide as it is deep.
-    return columns, first / count, (count * second - np.outer(first, first)).astype(np.float64)
+    return columns, mean, spread
+
+
+def _widest(spread: Matrix3) -> Vector3:
+    """The horizontal axis of the largest variance."""
+    (xx, xy, _), (_, yy, _), _ = spread.tolist()
+    # Across the axis of the smallest variance, whose angle is this one.
+    angle = math.atan2(-2.0 * xy, yy - xx) / 2.0
+    return np.array([-math.sin(angle), math.cos(angle), 0.0])
 
 
 def _rotation_with_z(z: Vector3) -> Matrix3:
@@ -115,33 +121,19 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
 
 def _enclosing_grid(columns: Columns, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
     """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
-    source_from_body = np.array([x, cross(z, x), z]).T
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    third_moment = _extent(columns, source_from_body.T.copy(), float(x @ (mean + 0.5)), low, high)
-    if third_moment < 0.0:
-        source_from_body[:, :2] *= -1.0
-        low[:2], high[:2] = -high[:2], -low[:2]
-    low, high = (low - 0.5) * grid.pitch_m, (high + 0.5) * grid.pitch_m
-    if on_floor:
-        low[2] = 0.0
-    extent = high - low
-    edge_m = float(max(extent[0] / HORIZONTAL_FILL, extent[1] / HORIZONTAL_FILL, extent[2] / VERTICAL_FILL))
-    corner = np.array([(low[0] + high[0] - edge_m) / 2, (low[1] + high[1] - edge_m) / 2, low[2]])
-    source_from_grid = np.eye(4)
-    source_from_grid[:3, :3] = source_from_body
-    source_from_grid[:3, 3] = source_from_body @ corner
-    return Grid(pitch_m=edge_m / GRID_SIZE, camera_from_grid=grid.camera_from_grid @ source_from_grid)
+    source_from_grid = np.empty((4, 4))
+    edge = _enclose(columns, mean, x, z, on_floor, source_from_grid)
+    source_from_grid[:3, 3] *= grid.pitch_m
+    return Grid(pitch_m=grid.pitch_m * edge / GRID_SIZE, camera_from_grid=grid.camera_from_grid @ source_from_grid)
 
 
 _ZERO, _ONE, _NEXT, _NONE = np.float32(0.0), np.float32(1.0), np.uintp(1), np.int32(0)
 
 
 @compiled
-def _sums(
-    occupancy: Bytes, eights: Eights, columns: Columns, first: Int64[np.ndarray, "3"], second: Int64[np.ndarray, "3 3"]
-) -> int:
-    """Number of the filled voxels; adds up the sums of each column, the indices i of all and their products i iᵀ."""
-    count = 0
+def _sums(occupancy: Bytes, eights: Eights, columns: Columns, mean: Vector3, spread: Matrix3) -> int:
+    """Number of the filled voxels; tells the sums of each column, and of all the mean index and the second moments."""
+    count, first, second = 0, np.zeros(3, np.int64), np.zeros((3, 3), np.int64)
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
             filled = np.uint64(0)
@@ -170,16 +162,44 @@ def _sums(
             second[0, 2] += along * x
             second[1, 2] += along * y
             second[2, 2] += squared
-    second[1, 0], second[2, 0], second[2, 1] = second[0, 1], second[0, 2], second[1, 2]
+    # In integers: rounding must not choose the axes of a body that is as wide as it is deep.
+    for i in range(3):
+        mean[i] = first[i] / count
+        for j in range(3):
+            spread[i, j] = count * second[min(i, j), max(i, j)] - first[i] * first[j]
     return count
 
 
 @compiled
-def _extent(columns: Columns, axes: Matrix3, middle: float, low: Vector3, high: Vector3) -> float:
-    """Lowest and highest centre along each axis, and returned the third moment about the middle along the first, in
-    voxels.
-    """
-    third_moment = 0.0
+def _enclose(
+    columns: Columns, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool, source_from_grid: Transform
+) -> float:
+    """Edge of `_enclosing_grid` in voxels; tells where it is, in voxels too."""
+    axes = np.empty((3, 3))
+    axes[0], axes[2] = x, z
+    axes[1, 0], axes[1, 1] = z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2]
+    axes[1, 2] = z[0] * x[1] - z[1] * x[0]
+    middle = x[0] * (mean[0] + 0.5) + x[1] * (mean[1] + 0.5) + x[2] * (mean[2] + 0.5)
+    third_moment, (low_x, low_y, low_z), (high_x, high_y, high_z) = _extent(columns, axes, middle)
+    if third_moment < 0.0:
+        axes[:2] *= -1.0
+        low_x, high_x, low_y, high_y = -high_x, -low_x, -high_y, -low_y
+    # the outermost voxels end half of one beyond their centres
+    floor = 0.0 if on_floor else low_z - 0.5
+    width, depth, height = high_x - low_x + 1.0, high_y - low_y + 1.0, high_z + 0.5 - floor
+    edge = max(width / HORIZONTAL_FILL, depth / HORIZONTAL_FILL, height / VERTICAL_FILL)
+    corner_x, corner_y = (low_x + high_x - edge) / 2.0, (low_y + high_y - edge) / 2.0
+    for i in range(3):
+        source_from_grid[i, :3], source_from_grid[3, i] = axes[:, i], 0.0
+        source_from_grid[i, 3] = corner_x * axes[0, i] + corner_y * axes[1, i] + floor * axes[2, i]
+    source_from_grid[3, 3] = 1.0
+    return float(edge)
+
+
+@compiled
+def _extent(columns: Columns, axes: Matrix3, middle: float) -> tuple[float, Place, Place]:
+    """The third moment about the middle along the first axis, lowest and highest centre along each; in voxels."""
+    third_moment, low, high = 0.0, np.full(3, np.inf), np.full(3, -np.inf)
     for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
             n, along, squared, cubed = columns[x, y, 0], columns[x, y, 1], columns[x, y, 2], columns[x, y, 3]
@@ -195,7 +215,7 @@ def _extent(columns: Columns, axes: Matrix3, middle: float, low: Vector3, high: 
                 start = axes[axis, 0] * (x + 0.5) + axes[axis, 1] * (y + 0.5)
                 bottom, top = start + axes[axis, 2] * (lowest + 0.5), start + axes[axis, 2] * (highest + 0.5)
                 low[axis], high[axis] = min(low[axis], bottom, top), max(high[axis], bottom, top)
-    return third_moment
+    return third_moment, (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
 
 @compiled

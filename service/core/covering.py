@@ -44,7 +44,8 @@ def _missing(
     places: Int32[np.ndarray, "n 3"],
 ) -> int:
     """Mark and list the observed voxels that are not filled and have no filled neighbour; returns their number."""
-    count = 0
+    count, last = 0, GRID_SIZE - 1
+    around, alone = np.empty(GRID_SIZE + 2, np.bool_), np.empty(GRID_SIZE, np.bool_)
     for i in range(GRID_SIZE):
         for j in range(GRID_SIZE):
             unfilled = np.uint64(0)
@@ -52,8 +53,19 @@ def _missing(
                 unfilled |= observed_eights[i, j, eight] & ~filled_eights[i, j, eight]
             if unfilled == 0:
                 continue
+            around[:] = False
+            for x in range(max(i - 1, 0), min(i + 1, last) + 1):
+                for y in range(max(j - 1, 0), min(j + 1, last) + 1):
+                    for k in range(GRID_SIZE):
+                        around[k + 1] |= occupancy[x, y, k]
+            some = False
             for k in range(GRID_SIZE):
-                if observed[i, j, k] and not occupancy[i, j, k] and not _is_near(occupancy, i, j, k):
+                alone[k] = observed[i, j, k] > (around[k] | around[k + 1] | around[k + 2])
+                some |= alone[k]
+            if not some:
+                continue
+            for k in range(GRID_SIZE):
+                if alone[k]:
                     covered[i, j, k] = _MISSING
                     places[count, 0], places[count, 1], places[count, 2] = i, j, k
                     count += 1
@@ -85,15 +97,3 @@ def _keep_patches(
         if size < LEAST_SHOWN:
             for m in range(size):
                 covered[patch[m, 0], patch[m, 1], patch[m, 2]] = _EMPTY
-
-
-@compiled
-def _is_near(occupancy: Occupancy, i: int, j: int, k: int) -> bool:
-    """Whether a voxel or one of its 26 neighbours is filled."""
-    last = GRID_SIZE - 1
-    for x in range(max(i - 1, 0), min(i + 1, last) + 1):
-        for y in range(max(j - 1, 0), min(j + 1, last) + 1):
-            for z in range(max(k - 1, 0), min(k + 1, last) + 1):
-                if occupancy[x, y, z]:
-                    return True
-    return False

@@ -21,7 +21,7 @@ from service.core.arrays import (
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
 from service.core.extent import filled_range
-from service.core.grids import Grid, centres_seen_from, cross
+from service.core.grids import Grid, centres_seen_from
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -39,9 +39,6 @@ surface point lies at most √3/2 voxels before it."""
 
 _BLOCK = 256
 """Points that are taken at a time."""
-
-_LOOKING, _IMAGE_TOP = np.array([0.0, 0.0, 1.0]), np.array([0.0, -1.0, 0.0])
-"""The optical axis and the way up in the image, in the camera frame."""
 
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
@@ -92,15 +89,17 @@ def _rule_out(probability: Probability, free: Occupancy, layers: int) -> None:
 
 def view_axes(up: Vector3) -> Transform:
     """Rotation camera_from_view: z against gravity, x along the viewing direction made horizontal, right-handed."""
-    z = up / math.sqrt(float(up @ up))
-    x = _LOOKING - float(z[2]) * z
-    if float(x @ x) < HORIZONTAL_VIEW**2:
+    z0, z1, z2 = up.tolist()
+    length = math.sqrt(z0 * z0 + z1 * z1 + z2 * z2)
+    z0, z1, z2 = z0 / length, z1 / length, z2 / length
+    x0, x1, x2 = -z2 * z0, -z2 * z1, 1.0 - z2 * z2  # the optical axis without its part along z
+    if x0 * x0 + x1 * x1 + x2 * x2 < HORIZONTAL_VIEW**2:
         # Straight down: the top of the image (-y) takes the place of "away from the camera".
-        x = _IMAGE_TOP + float(z[1]) * z
-    x /= math.sqrt(float(x @ x))
-    camera_from_view = np.eye(4)
-    camera_from_view[:3, 0], camera_from_view[:3, 1], camera_from_view[:3, 2] = x, cross(z, x), z
-    return camera_from_view
+        x0, x1, x2 = z1 * z0, z1 * z1 - 1.0, z1 * z2
+    length = math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
+    x0, x1, x2 = x0 / length, x1 / length, x2 / length
+    y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    return np.array([[x0, y0, z0, 0.0], [x1, y1, z1, 0.0], [x2, y2, z2, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
 def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
