@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Float32
@@ -61,8 +62,12 @@ class ElasticPrior:
     def __init__(self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS) -> None:
         self.grid = CellGrid.fit(occupancy, cells)
         self._occupancy = occupancy
-        self._points = Points.of(self.grid)
         self.solver = CorotationalSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
+
+    @cached_property
+    def _points(self) -> Points:
+        """Needed last, and in a thread that has time."""
+        return Points.of(self.grid)
 
     def forces(self, conditions: Sequence[Condition]) -> Float32[np.ndarray, "loads 3 n"]:
         """Nodal forces of loads, see `prior_load.nodal_forces`."""

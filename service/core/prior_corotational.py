@@ -81,9 +81,7 @@ class CorotationalSolver:
             _unroll(self.cells, u, unrolled)
             solve_at_rest(self.factor, unrolled, u)
             self._balance(u, force, steps)
-        longest = np.abs(u).max(axis=(1, 2))
-        u *= np.minimum(1.0, _FARTHEST / np.maximum(longest, 1e-20)).astype(np.float32)[:, None, None]
-        u[~np.isfinite(longest)] = 0.0
+        _bound(u)
         return u
 
     def _balance(self, u: Loads, force: Loads, steps: int) -> None:
@@ -108,6 +106,20 @@ class CorotationalSolver:
         result = np.empty_like(u)
         _correct(self.cells, self.factor, u, force, result)
         return result
+
+
+@compiled
+def _bound(u: Loads) -> None:
+    """Take displacements that go farther than `_FARTHEST` at a share; what is no number is none."""
+    for load in range(len(u)):
+        values = u[load].ravel()
+        longest, finite = np.float32(1e-20), True
+        for i in range(len(values)):
+            longest = max(longest, abs(values[i]))
+            finite &= np.isfinite(values[i])
+        share = min(np.float32(1.0), np.float32(_FARTHEST) / longest)
+        for i in range(len(values)):
+            values[i] = share * values[i] if finite else np.float32(0.0)
 
 
 @compiled

@@ -15,7 +15,7 @@ from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
 from service.core.prior_division import divide
-from service.core.prior_moments import GAUSS_3, Weights, quadrature_weights
+from service.core.prior_moments import GAUSS_3, FloorWeights, Weights, quadrature_weights
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
@@ -78,21 +78,17 @@ class CellGrid:
         nx, ny, nz = shape = divide(occupancy, first, end, cells)
         weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
         kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
-        inside = kept[1:-1, 1:-1, 1:-1]
-        inside[...] = weights.sum(axis=0) >= MIN_FILL
-        inside[:, :, 0] |= floor.sum(axis=0) >= MIN_FILL
-        count = _keep(kept)
+        count = _keep(weights, floor, np.float32(MIN_FILL), kept)
         if count == 0:  # a body that touches the floor with a few voxels only
-            inside[:, :, 0] |= floor.sum(axis=0) > 1e-6
-            count = _keep(kept)
+            count = _keep(weights, floor, np.float32(1e-6), kept)
         # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
-        order = np.argsort([-nx, -ny, -nz], kind="stable")
-        cell_of_box, chosen, nodes, corners, own = _number(kept, count, order, weights)
-        floor_cells = np.flatnonzero(chosen[:, 2] == 0)
+        longest, middle, shortest = sorted(range(3), key=lambda axis: -shape[axis])
+        cell_of_box, chosen, nodes, corners, own, fill = _number(kept, count, (longest, middle, shortest), weights)
+        floor_cells, floor_weights = _stand(chosen, floor)
         return cls(
-            low=low, edges=extent / shape, shape=shape, cells=chosen, weights=own, fill=own.sum(axis=0),
-            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells,
-            floor_weights=floor[:, chosen[floor_cells, 0], chosen[floor_cells, 1]], _cell_of_box=cell_of_box,
+            low=low, edges=extent / shape, shape=shape, cells=chosen, weights=own, fill=fill,
+            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells, floor_weights=floor_weights,
+            _cell_of_box=cell_of_box,
         )  # fmt: skip
 
     @property
@@ -184,8 +180,22 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 
 
 @compiled
-def _keep(solid: Box) -> int:
-    """Mark with 2 what is connected to the lowest layer across faces, and count it: nothing holds the others."""
+def _keep(weights: Weights, floor: FloorWeights, least_sole: np.float32, solid: Box) -> int:
+    """Mark the cells that hold enough of the body or of its sole.
+
+    Those connected to the lowest layer across faces are marked with 2, and counted: nothing holds the others.
+    """
+    for x in range(weights.shape[1]):
+        for y in range(weights.shape[2]):
+            for z in range(weights.shape[3]):
+                fill = np.float32(0.0)
+                for point in range(len(weights)):
+                    fill += weights[point, x, y, z]
+                solid[x + 1, y + 1, z + 1] = fill >= np.float32(MIN_FILL)
+            sole = np.float32(0.0)
+            for point in range(len(floor)):
+                sole += floor[point, x, y]
+            solid[x + 1, y + 1, 1] |= sole >= least_sole
     count, before = 0, -1
     while before != count:
         before = count
@@ -203,20 +213,21 @@ def _keep(solid: Box) -> int:
 
 @compiled
 def _number(
-    kept: Box, count: int, order: Int[np.ndarray, "3"], weights: Weights
+    kept: Box, count: int, order: tuple[int, int, int], weights: Weights
 ) -> tuple[
     Int[np.ndarray, "x y z"], Int[np.ndarray, "m 3"], Int[np.ndarray, "n 3"], Int[np.ndarray, "m 8"],
-    Float32[np.ndarray, "27 m"],
+    Float32[np.ndarray, "27 m"], Float32[np.ndarray, " m"],
 ]:  # fmt: skip
     """Number the cells marked with 2 in the order of memory and the nodes by their axes in this order.
 
     Returns:
-        The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights.
+        The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights and their
+        sum.
     """
     _, size_x, size_y, size_z = weights.shape
     cell_of_box = np.empty((size_x, size_y, size_z), np.int64)
     cells, corners = np.empty((count, 3), np.int64), np.empty((count, 8), np.int64)
-    own = np.empty((27, count), np.float32)
+    own, fill = np.empty((27, count), np.float32), np.zeros(count, np.float32)
     node_of_box = np.zeros((size_x + 1, size_y + 1, size_z + 1), np.int64)
     m = 0
     for x in range(size_x):
@@ -228,6 +239,7 @@ def _number(
                     cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
                     for q in range(len(own)):
                         own[q, m] = weights[q, x, y, z]
+                        fill[m] += own[q, m]
                     for a in range(corners.shape[1]):
                         node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 1
                     m += 1
@@ -244,4 +256,22 @@ def _number(
     for c in range(count):
         for a in range(corners.shape[1]):
             corners[c, a] = node_of_box[cells[c, 0] + (a >> 2), cells[c, 1] + (a >> 1 & 1), cells[c, 2] + (a & 1)]
-    return cell_of_box, cells, nodes[:n], corners, own
+    return cell_of_box, cells, nodes[:n], corners, own, fill
+
+
+@compiled
+def _stand(
+    cells: Int[np.ndarray, "m 3"], floor: FloorWeights
+) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "9 b"]]:
+    """The cells that stand on the floor, and their weights."""
+    count = 0
+    for m in range(len(cells)):
+        count += int(cells[m, 2] == 0)
+    found, own, b = np.empty(count, np.int64), np.empty((len(floor), count), np.float32), 0
+    for m in range(len(cells)):
+        if cells[m, 2] == 0:
+            found[b] = m
+            for point in range(len(floor)):
+                own[point, b] = floor[point, cells[m, 0], cells[m, 1]]
+            b += 1
+    return found, own
