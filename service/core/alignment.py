@@ -78,7 +78,7 @@ def resample(probability: Probability, source: Grid, target: Grid) -> Probabilit
     source_from_target = source.grid_from_camera @ target.camera_from_grid
     steps = source_from_target[:3, :3] * (target.pitch_m / source.pitch_m)
     origin = source_from_target[:3, 3] / source.pitch_m - 0.5 + steps.sum(axis=1) / 2  # where the first centre lies
-    result = np.zeros((GRID_SIZE,) * 3, np.float32)
+    result = np.empty((GRID_SIZE,) * 3, np.float32)
     if source_from_target[2, 2] < PARALLEL:
         padded = np.zeros((GRID_SIZE + 2,) * 3, np.float32)
         padded[1:-1, 1:-1, 1:-1] = probability
@@ -231,6 +231,7 @@ def _resample(padded: Padded, steps: Matrix3, origin: Vector3, result: Probabili
                 a = x + np.float32(steps[0, 2]) * np.float32(k)
                 b = y + np.float32(steps[1, 2]) * np.float32(k)
                 c = z + np.float32(steps[2, 2]) * np.float32(k)
+                result[i, j, k] = _ZERO
                 if _ZERO < a < end and _ZERO < b < end and _ZERO < c < end:
                     p, q, r = np.uintp(a), np.uintp(b), np.uintp(c)
                     a, b, c = a - np.floor(a), b - np.floor(b), c - np.floor(c)
@@ -266,6 +267,8 @@ def _resample_upright(source: Probability, steps: Matrix3, origin: Vector3, resu
         for j in range(GRID_SIZE):
             x = origin[0] + steps[0, 0] * i + steps[0, 1] * j
             y = origin[1] + steps[1, 0] * i + steps[1, 1] * j
+            for k in range(GRID_SIZE):
+                result[i, j, k] = _ZERO
             if not (-1.0 < x < GRID_SIZE and -1.0 < y < GRID_SIZE):
                 continue
             p, q = int(np.floor(x)), int(np.floor(y))

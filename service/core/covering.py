@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 from jaxtyping import Int32, UInt8
 
@@ -15,6 +17,8 @@ Fewer are readings that strayed: left in, they float a voxel or two off the body
 35 scenes and 29 real objects of the tests nearly all patches have fewer, most of them one or two voxels.
 """
 
+Covered: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
+
 _EMPTY, _FILLED, _MISSING = np.uint8(0), np.uint8(1), np.uint8(2)
 
 
@@ -27,11 +31,31 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
     shows something that the body lacks.
     """
     filled, shown = np.ascontiguousarray(occupancy), np.ascontiguousarray(observed)
-    covered = filled.astype(np.uint8)
-    places = np.empty((np.count_nonzero(shown), 3), np.int32)
-    count = _missing(filled, shown, filled.view(np.uint64), shown.view(np.uint64), covered, places)
-    _keep_patches(covered, places[:count], np.empty_like(places[:count]))
+    covered = np.empty(filled.shape, np.uint8)
+    _cover(filled, shown, filled.view(np.uint64), shown.view(np.uint64), covered, covered.view(np.uint64))
     return covered.view(np.bool_)
+
+
+@compiled
+def _cover(
+    occupancy: Occupancy, observed: Occupancy, filled_eights: Eights, observed_eights: Eights, covered: Covered,
+    covered_eights: Eights,
+) -> None:  # fmt: skip
+    count = 0
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            for eight in range(GRID_SIZE // 8):
+                covered_eights[i, j, eight] = filled_eights[i, j, eight]
+                count += _ones(observed_eights[i, j, eight] & ~filled_eights[i, j, eight])
+    places = np.empty((count, 3), np.int32)
+    count = _missing(occupancy, observed, filled_eights, observed_eights, covered, places)
+    _keep_patches(covered, places[:count], np.empty((count, 3), np.int32))
+
+
+@compiled
+def _ones(eight: np.uint64) -> int:
+    """How many of eight voxels are filled."""
+    return int(eight * np.uint64(0x0101010101010101) >> np.uint64(56))
 
 
 @compiled
@@ -40,7 +64,7 @@ def _missing(
     observed: Occupancy,
     filled_eights: Eights,
     observed_eights: Eights,
-    covered: UInt8[np.ndarray, "64 64 64"],
+    covered: Covered,
     places: Int32[np.ndarray, "n 3"],
 ) -> int:
     """Mark and list the observed voxels that are not filled and have no filled neighbour; returns their number."""
@@ -74,7 +98,7 @@ def _missing(
 
 @compiled
 def _keep_patches(
-    covered: UInt8[np.ndarray, "64 64 64"], places: Int32[np.ndarray, "n 3"], patch: Int32[np.ndarray, "n 3"]
+    covered: Covered, places: Int32[np.ndarray, "n 3"], patch: Int32[np.ndarray, "n 3"]
 ) -> None:
     """Fill the marked voxels of every patch (26 neighbours) that is large enough, and empty those of the others."""
     last = GRID_SIZE - 1

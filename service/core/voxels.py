@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float32, Float64
@@ -36,6 +37,8 @@ OUTLIER_PERCENTILE = 0.5
 FREE_MARGIN_VOXELS = 1.0
 """A voxel is free only if the ray passes its centre by this much before it hits: the centre of a voxel that holds a
 surface point lies at most √3/2 voxels before it."""
+
+States: TypeAlias = Float32[np.ndarray, "state=2 x=64 y=64 z=64"]
 
 _BLOCK = 256
 """Points that are taken at a time."""
@@ -71,6 +74,22 @@ class VoxelView:
         above = seen[1][2]
         camera_height = float(self.grid.grid_from_camera[2, 3]) / self.grid.pitch_m
         return above if camera_height > above else GRID_SIZE
+
+
+def states_of(view: VoxelView) -> States:
+    """The view as the network reads it: 1 where a voxel is observed, and where it is free."""
+    states = np.empty((2, *view.free.shape), np.float32)
+    _tell_states(view.observed, view.free, states)
+    return states
+
+
+@compiled
+def _tell_states(observed: Occupancy, free: Occupancy, states: States) -> None:
+    for i in range(GRID_SIZE):
+        for j in range(GRID_SIZE):
+            for k in range(GRID_SIZE):
+                states[0, i, j, k] = np.float32(observed[i, j, k])
+                states[1, i, j, k] = np.float32(free[i, j, k])
 
 
 def rule_out(probability: Probability, view: VoxelView) -> None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import onnxruntime
 
 from service.core.arrays import Probability
 from service.core.manifest import Manifest
-from service.core.voxels import VoxelView, rule_out
+from service.core.voxels import VoxelView, rule_out, states_of
 
 
 class ReconstructionModel:
@@ -23,9 +22,7 @@ class ReconstructionModel:
         What was measured overrules the network: a voxel that a ray went through is empty, and so is one above all that
         was seen of the object, see `VoxelView.layers`.
         """
-        states = np.empty((1, 2, *view.free.shape), np.float32)
-        states[0, 0], states[0, 1] = view.observed, view.free
-        (probability,) = self._session.run(["probability"], {"view": states})
+        (probability,) = self._session.run(["probability"], {"view": states_of(view)[None]})
         result: Probability = probability[0]
         rule_out(result, view)
         return result
