@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
 from service.core.depth_view import DepthView, window_around
-from service.core.grids import cross
+from service.core.regions import grown, regions
 
 CELL_M = 0.004
 """Edge of a cell of the map, metres."""
@@ -29,11 +28,6 @@ VESSEL_GAP_CELLS = 8
 
 REACH_CELLS = 256
 """The map reaches this far to each side of the object's place, so a metre and more."""
-
-
-_NEIGHBOURS = np.ones((3, 3), np.uint8)
-_GAP = np.ones((VESSEL_GAP_CELLS // 2 * 2 + 1,) * 2, np.uint8)
-"""What grows a footprint by a cell and by half of that gap."""
 
 
 @dataclass(frozen=True)
@@ -92,51 +86,82 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     """
     axes = _horizontal_axes(up)
     cell_m = max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2])))
-    place = (axes.astype(np.float64) @ place_m).astype(np.float32)
-    margin = VESSEL_GAP_CELLS // 2 + 2
-    occupied, first_row, first_column = _mark(points, axes, place, np.float32(1.0 / cell_m), REACH_CELLS, margin)
-    if occupied.size == 0:
+    place = axes.astype(np.float64) @ place_m
+    labels, first_row, first_column = _map(points, axes, place.astype(np.float32), np.float32(1.0 / cell_m))
+    if labels.size == 0:
         return None
-    grown = cv2.dilate(occupied, _NEIGHBOURS)
-    count, components = cv2.connectedComponents(grown, connectivity=4, ltype=cv2.CV_32S)
-    labels = _join_vessels(occupied, np.asarray(components, np.int32), count)
-    corner_m = axes.astype(np.float64) @ place_m + cell_m * np.array([first_row, first_column])
+    corner_m = place + cell_m * np.array([first_row, first_column])
     return Footprints(axes, corner_m.astype(np.float32), cell_m, labels)
 
 
 @compiled
-def _mark(
+def _join_vessels(
+    occupied: UInt8[np.ndarray, "rows columns"], labels: Int32[np.ndarray, "rows columns"], count: int
+) -> None:
+    """Give the footprints around each enclosed hole, and the hole, one label; the labels are at most `count`."""
+    reach = VESSEL_GAP_CELLS // 2
+    holes, areas = regions(grown(occupied, reach), 0)
+    first_row, last_row = np.full(areas + 1, holes.shape[0]), np.zeros(areas + 1, np.int64)
+    for row in range(holes.shape[0]):
+        for column in range(holes.shape[1]):
+            first_row[holes[row, column]] = min(first_row[holes[row, column]], row)
+            last_row[holes[row, column]] = row
+    # The first is the outside, which holds the first cell of the map, whose margin is free.
+    for hole in range(2, areas + 1):
+        rows = slice(first_row[hole] - reach, last_row[hole] + reach + 1)
+        around, inside = labels[rows], grown((holes[rows] == hole).astype(np.uint8), reach)
+        shares = np.zeros(count + 1, np.int64)
+        for row in range(inside.shape[0]):
+            for column in range(inside.shape[1]):
+                shares[around[row, column]] += inside[row, column]
+        # A neighbour seen through a gap of the wall is no part of it.
+        walls = shares > 0.1 * shares[1:].sum()
+        walls[0] = False
+        if walls.any():
+            joined = np.argmax(walls)
+            for row in range(labels.shape[0]):
+                for column in range(labels.shape[1]):
+                    if walls[labels[row, column]]:
+                        labels[row, column] = joined
+            for row in range(inside.shape[0]):
+                for column in range(inside.shape[1]):
+                    if inside[row, column]:
+                        around[row, column] = joined
+
+
+@compiled
+def _map(
     points: Points,
     axes: Float32[np.ndarray, "axes=2 3"],
     place: Float32[np.ndarray, " axes=2"],
     cells_per_m: np.float32,
-    reach_cells: int,
-    margin: int,
-) -> tuple[UInt8[np.ndarray, "rows columns"], int, int]:
-    """Mark the cells that hold a point, and where the first cell lies from the place; no cells where none does.
+) -> tuple[Int32[np.ndarray, "rows columns"], int, int]:
+    """Numbers of the footprints, and where the map's first cell lies from the place; no cells where no point does.
 
     The map is as large as what stands on it and a margin all around.
     """
-    reach = np.float32(reach_cells)
-    top, bottom, left, right = 2 * reach_cells, -1, 2 * reach_cells, -1
-    cells = np.empty((len(points), 2), np.int32)
-    held = 0
+    reach, margin = np.float32(REACH_CELLS), VESSEL_GAP_CELLS // 2 + 2
+    cells = np.empty((2, len(points)), np.int32)
+    none, beyond = np.int32(-1), np.int32(2 * REACH_CELLS)
+    top, bottom, left, right = beyond, none, beyond, none
     for point in range(len(points)):
         x, y, z = points[point, 0], points[point, 1], points[point, 2]
         down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - place[0]) * cells_per_m
         across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - place[1]) * cells_per_m
-        if abs(down) < reach and abs(across) < reach:
-            row, column = int(np.floor(down + reach)), int(np.floor(across + reach))
-            cells[held, 0], cells[held, 1] = row, column
-            held += 1
-            top, bottom = min(top, row), max(bottom, row)
-            left, right = min(left, column), max(right, column)
-    if held == 0:
-        return np.zeros((0, 0), np.uint8), 0, 0
+        held = (abs(down) < reach) & (abs(across) < reach)
+        row, column = np.int32(down + reach), np.int32(across + reach)
+        cells[0, point], cells[1, point] = row if held else none, column
+        top, bottom = min(top, row if held else beyond), max(bottom, row if held else none)
+        left, right = min(left, column if held else beyond), max(right, column if held else none)
+    if bottom < 0:
+        return np.zeros((0, 0), np.int32), 0, 0
     occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
-    for cell in range(held):
-        occupied[cells[cell, 0] - top + margin, cells[cell, 1] - left + margin] = 1
-    return occupied, top - reach_cells - margin, left - reach_cells - margin
+    for point in range(len(points)):
+        if cells[0, point] >= 0:
+            occupied[cells[0, point] - top + margin, cells[1, point] - left + margin] = 1
+    labels, count = regions(grown(occupied, 1), 1)
+    _join_vessels(occupied, labels, count)
+    return labels, int(top) - REACH_CELLS - margin, int(left) - REACH_CELLS - margin
 
 
 def nearest_label(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
@@ -208,43 +233,17 @@ def _pick(
             standing[row, column] = cell[column] >= 0 and cells[np.uint32(cell[column])] == label
 
 
-def _join_vessels(
-    occupied: UInt8[np.ndarray, "rows columns"], labels: Int32[np.ndarray, "rows columns"], count: int
-) -> Int32[np.ndarray, "rows columns"]:
-    """Give the footprints around each enclosed hole, and the hole, one label; the labels are less than `count`."""
-    reach = VESSEL_GAP_CELLS // 2
-    closed = cv2.dilate(occupied, _GAP)
-    areas, holes, stats, _ = cv2.connectedComponentsWithStats(1 - closed, connectivity=4, ltype=cv2.CV_32S)
-    # The outside touches the corner of the map, whose margin is free.
-    outside = holes[0, 0]
-    for hole in range(1, areas):
-        if hole == outside:
-            continue
-        left, top, width, height, _ = stats[hole].tolist()
-        around = (slice(top - reach, top + height + reach), slice(left - reach, left + width + reach))
-        inside = cv2.dilate((holes[around] == hole).view(np.uint8), _GAP).view(np.bool_)
-        shares = np.bincount(labels[around][inside], minlength=count).tolist()
-        # A neighbour seen through a gap of the wall is no part of it.
-        least = 0.1 * sum(shares[1:])
-        walls = [label for label in range(1, count) if shares[label] > least]
-        if walls:
-            same = np.arange(count, dtype=np.int32)
-            same[walls] = walls[0]
-            labels = same[labels]
-            labels[around][inside] = walls[0]
-    return labels
-
-
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:
     """Two unit vectors across `up`; any will do."""
     # The cross product of `up` and the axis it has least of, and of `up` and that.
     x, y, z = up.tolist()
     least = min(abs(x), abs(y), abs(z))
     if abs(x) == least:
-        first = np.array([0.0, z, -y])
+        a, b, c = 0.0, z, -y
     elif abs(y) == least:
-        first = np.array([-z, 0.0, x])
+        a, b, c = -z, 0.0, x
     else:
-        first = np.array([y, -x, 0.0])
-    first /= math.sqrt(float(first @ first))
-    return np.array([first, cross(up, first)], np.float32)
+        a, b, c = y, -x, 0.0
+    length = math.sqrt(a * a + b * b + c * c)
+    a, b, c = a / length, b / length, c / length
+    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]], np.float32)
