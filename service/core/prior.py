@@ -17,7 +17,7 @@ from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
 
-CELLS = 200
+CELLS = 240
 """Cells with material that a body is cut into, about: bodies with legs and walls fill few of those over their box.
 docs/runs.md tells what other numbers give."""
 
