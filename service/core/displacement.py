@@ -87,25 +87,24 @@ def correct(
 ) -> None:
     """`corrected` at the nodes, of some along x, whose material the field says to come from between two corners.
 
-    Those of a row along z are gathered first, so that the arithmetic of eight is done at once.
+    Those of a row along z are gathered first, so that the arithmetic of eight is done at once. A node is written once:
+    another thread may look up what it writes there, too.
     """
     size, columns = correction.shape[1], FIELD_SIZE * FIELD_SIZE
     fields, lattice = backward.reshape(3, columns * FIELD_SIZE), correction.reshape(3, size * size * size)
-    place, moved, u = _row(), _row(), _row()
+    place, moved, u, final = _row(), _row(), _row(), _row()
     node, cells, shares = np.empty(FIELD_SIZE, np.int32), np.empty(FIELD_SIZE, np.int32), _shares()
     for i in range(first, end):
         for j in range(FIELD_SIZE):
             x, y, before, count = _STEPS[i], _STEPS[j], (i * FIELD_SIZE + j) * FIELD_SIZE, 0
             for k in range(FIELD_SIZE):
                 ux, uy, uz = fields[0, before + k], fields[1, before + k], fields[2, before + k]
-                result[0, i, j, k], result[1, i, j, k], result[2, i, j, k] = ux, uy, uz
+                final[0, k], final[1, k], final[2, k] = ux, uy, uz
                 at_x, at_y, at_z = x - ux, y - uy, _STEPS[k] - uz
                 outside = (at_x < low[0]) | (at_x > high[0]) | (at_y < low[1]) | (at_y > high[1])
                 outside |= (at_z < low[2]) | (at_z > high[2])
                 node[count], place[0, count], place[1, count], place[2, count] = k, at_x, at_y, at_z
                 count += int(not outside)
-            if count == 0:
-                continue
             _find_cells(place, size, count, cells, shares)
             _interpolate(lattice, size, cells, shares, count, moved)
             for n in range(count):
@@ -119,7 +118,10 @@ def correct(
                 u[0, n], u[1, n], u[2, n] = held * ux, held * uy, held * uz
             for n in range(count):
                 at = np.uintp(node[n])
-                result[0, i, j, at], result[1, i, j, at], result[2, i, j, at] = u[0, n], u[1, n], u[2, n]
+                final[0, at], final[1, at], final[2, at] = u[0, n], u[1, n], u[2, n]
+            for axis in range(3):
+                for k in range(FIELD_SIZE):
+                    result[axis, i, j, k] = final[axis, k]
 
 
 @compiled

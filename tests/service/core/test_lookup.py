@@ -1,9 +1,13 @@
+import time
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 from service.core.displacement import corrected
 from service.core.lookup import DOUBT, DOUBT_OF_MOTION, EVEN, Inside, Warp, warp
 from service.core.smoothing import smoothed
+from service.core.spread import Work
 from tests.service.fields import at_voxels, bent, parted
 
 
@@ -56,6 +60,25 @@ def test_two_parts_find_what_the_whole_does(middle: int) -> None:
     np.testing.assert_array_equal(field, corrected(backward, correction, body.body))
     np.testing.assert_array_equal(probability, body(field))
     assert 5000 < (probability > 0.5).sum() < rest.sum() * 1.2
+
+
+def test_two_threads_do_not_see_each_others_half_done_nodes() -> None:
+    rest = np.zeros((64, 64, 64), bool)
+    rest[10:54, 12:50, :40] = True
+    backward, correction = bent(5, 0.1), bent(6)[:, ::2, ::2, ::2]
+    body = Warp(rest)
+    expected = body(corrected(backward, correction, body.body))
+    with ThreadPoolExecutor(1) as other:
+        for late_s in np.linspace(0.0, 6e-4, 300):
+
+            def both(work: Work, end: int, late_s: float = float(late_s)) -> None:
+                upper = other.submit(lambda: (time.sleep(late_s), work(end // 2, end)))
+                work(0, end // 2)
+                upper.result()
+
+            field, probability = np.empty_like(backward), np.empty(rest.shape, np.float32)
+            body.corrected(backward, correction, field, probability, both)
+            np.testing.assert_array_equal(probability, expected)
 
 
 def test_nothing_is_corrected_where_there_is_no_body() -> None:
