@@ -3,8 +3,8 @@
     python -m benchmarks.service.hour [--answers 108000]
 
 Two clients, one on a stream and one that posts forms, each ask again as soon as they are answered, so that the hour
-takes as long as two cores need for it. Whatever is kept for later questions is full long before the end. Written: resident
-memory once a minute, after the first answers and at the end, and the most there ever was.
+takes as long as two cores need for it. Whatever is kept for later questions is full long before the end. Written:
+resident memory once a minute, after the first answers and at the end, and the most there ever was.
 """
 
 from __future__ import annotations
