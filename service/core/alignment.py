@@ -6,15 +6,14 @@ import math
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Float32, Int32
 
-from service.core.arrays import GRID_SIZE, Eights, Matrix3, Occupancy, Probability, Transform, Vector3
+from service.core.arrays import GRID_SIZE, Bytes, Eights, Matrix3, Occupancy, Probability, Transform, Vector3
 from service.core.compiled import compiled
 from service.core.errors import EmptyObject
 from service.core.grids import Grid, cross
 from service.core.lookup import between
 
-Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 Columns: TypeAlias = Int32[np.ndarray, "x=64 y=64 sum=6"]
 """Of a body's voxels with one x and one y: how many there are, the sums of z, z² and z³, the lowest and highest z."""
 Place: TypeAlias = tuple[float, float, float]
@@ -121,8 +120,8 @@ def _rotation_with_z(z: Vector3) -> Matrix3:
 
 def _enclosing_grid(columns: Columns, grid: Grid, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool) -> Grid:
     """Cube around the filled voxels along x, of either sign, and z; its bottom on the source's floor or the lowest."""
-    source_from_grid = np.empty((4, 4))
-    edge = _enclose(columns, mean, x, z, on_floor, source_from_grid)
+    axes, source_from_grid = np.array([x, cross(z, x), z]), np.empty((4, 4))
+    edge = _enclose(columns, mean, axes, on_floor, source_from_grid)
     source_from_grid[:3, 3] *= grid.pitch_m
     return Grid(pitch_m=grid.pitch_m * edge / GRID_SIZE, camera_from_grid=grid.camera_from_grid @ source_from_grid)
 
@@ -171,15 +170,9 @@ def _sums(occupancy: Bytes, eights: Eights, columns: Columns, mean: Vector3, spr
 
 
 @compiled
-def _enclose(
-    columns: Columns, mean: Vector3, x: Vector3, z: Vector3, on_floor: bool, source_from_grid: Transform
-) -> float:
-    """Edge of `_enclosing_grid` in voxels; tells where it is, in voxels too."""
-    axes = np.empty((3, 3))
-    axes[0], axes[2] = x, z
-    axes[1, 0], axes[1, 1] = z[1] * x[2] - z[2] * x[1], z[2] * x[0] - z[0] * x[2]
-    axes[1, 2] = z[0] * x[1] - z[1] * x[0]
-    middle = x[0] * (mean[0] + 0.5) + x[1] * (mean[1] + 0.5) + x[2] * (mean[2] + 0.5)
+def _enclose(columns: Columns, mean: Vector3, axes: Matrix3, on_floor: bool, source_from_grid: Transform) -> float:
+    """Edge of `_enclosing_grid` in voxels; tells where it is, in voxels too, and turns the axes its way."""
+    middle = axes[0, 0] * (mean[0] + 0.5) + axes[0, 1] * (mean[1] + 0.5) + axes[0, 2] * (mean[2] + 0.5)
     third_moment, (low_x, low_y, low_z), (high_x, high_y, high_z) = _extent(columns, axes, middle)
     if third_moment < 0.0:
         axes[:2] *= -1.0

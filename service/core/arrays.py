@@ -11,6 +11,8 @@ GRID_SIZE = 64
 """Voxels along each edge of every grid the service takes or returns."""
 
 Occupancy: TypeAlias = Bool[np.ndarray, "x=64 y=64 z=64"]
+Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
+"""Occupancy seen as numbers."""
 Eights: TypeAlias = UInt64[np.ndarray, "x=64 y=64 eight=8"]
 """Occupancy seen eight voxels at a time: 0 where none of them is filled."""
 Probability: TypeAlias = Float32[np.ndarray, "x=64 y=64 z=64"]

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float64, UInt8
+from jaxtyping import Float64
 
-from service.core.arrays import GRID_SIZE, Occupancy, Vector3
+from service.core.arrays import GRID_SIZE, Bytes, Occupancy, Vector3
 from service.core.compiled import compiled
 from service.core.errors import ContactOffBody
 from service.core.grids import Grid, filled_voxels
-
-Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 
 SNAP_VOXELS = 1.5
 """A contact this near to a surface voxel's centre lies on it (√3/2 voxels) or as near as a sensor can tell."""

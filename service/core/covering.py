@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
-from jaxtyping import Int32, UInt8
+from jaxtyping import Int32
 
-from service.core.arrays import GRID_SIZE, Eights, Occupancy
+from service.core.arrays import GRID_SIZE, Bytes, Eights, Occupancy
 from service.core.compiled import compiled
 
 LEAST_SHOWN = 16
@@ -16,8 +14,6 @@ LEAST_SHOWN = 16
 Fewer are readings that strayed: left in, they float a voxel or two off the body and make it taller than it is. On the
 35 scenes and 29 real objects of the tests nearly all patches have fewer, most of them one or two voxels.
 """
-
-Covered: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 
 _EMPTY, _FILLED, _MISSING = np.uint8(0), np.uint8(1), np.uint8(2)
 
@@ -38,9 +34,10 @@ def cover(occupancy: Occupancy, observed: Occupancy) -> Occupancy:
 
 @compiled
 def _cover(
-    occupancy: Occupancy, observed: Occupancy, filled_eights: Eights, observed_eights: Eights, covered: Covered,
+    occupancy: Occupancy, observed: Occupancy, filled_eights: Eights, observed_eights: Eights, covered: Bytes,
     covered_eights: Eights,
 ) -> None:  # fmt: skip
+    """`cover`: what is filled, and the patches; as many places are listed as are observed and not filled at most."""
     count = 0
     for i in range(GRID_SIZE):
         for j in range(GRID_SIZE):
@@ -64,7 +61,7 @@ def _missing(
     observed: Occupancy,
     filled_eights: Eights,
     observed_eights: Eights,
-    covered: Covered,
+    covered: Bytes,
     places: Int32[np.ndarray, "n 3"],
 ) -> int:
     """Mark and list the observed voxels that are not filled and have no filled neighbour; returns their number."""
@@ -98,7 +95,7 @@ def _missing(
 
 @compiled
 def _keep_patches(
-    covered: Covered, places: Int32[np.ndarray, "n 3"], patch: Int32[np.ndarray, "n 3"]
+    covered: Bytes, places: Int32[np.ndarray, "n 3"], patch: Int32[np.ndarray, "n 3"]
 ) -> None:
     """Fill the marked voxels of every patch (26 neighbours) that is large enough, and empty those of the others."""
     last = GRID_SIZE - 1

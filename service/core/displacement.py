@@ -23,6 +23,9 @@ Vector: TypeAlias = tuple[np.float32, np.float32, np.float32]
 Row: TypeAlias = Float32[np.ndarray, "axis=3 node=32"]
 Shares: TypeAlias = Float32[np.ndarray, "5 node=32"]
 
+STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
+"""Places of the field's nodes along an axis, in edges of the grid."""
+
 SPARE = 3.0
 """Nodes around all material that is looked at: a cell of the field, and as much again as the field may bend in it."""
 
@@ -78,7 +81,6 @@ def _vector(x: float, y: float, z: float) -> Vector:
 _NOWHERE, _EVERYWHERE = _vector(-math.inf, -math.inf, -math.inf), _vector(math.inf, math.inf, math.inf)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _NEXT = np.uintp(1)
-_STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 
 
 @compiled
@@ -93,14 +95,15 @@ def correct(
     size, columns = correction.shape[1], FIELD_SIZE * FIELD_SIZE
     fields, lattice = backward.reshape(3, columns * FIELD_SIZE), correction.reshape(3, size * size * size)
     place, moved, u, final = _row(), _row(), _row(), _row()
-    node, cells, shares = np.empty(FIELD_SIZE, np.int32), np.empty(FIELD_SIZE, np.int32), _shares()
+    node, cells = np.empty(FIELD_SIZE, np.int32), np.empty(FIELD_SIZE, np.int32)
+    shares = np.empty((5, FIELD_SIZE), np.float32)
     for i in range(first, end):
         for j in range(FIELD_SIZE):
-            x, y, before, count = _STEPS[i], _STEPS[j], (i * FIELD_SIZE + j) * FIELD_SIZE, 0
+            x, y, before, count = STEPS[i], STEPS[j], (i * FIELD_SIZE + j) * FIELD_SIZE, 0
             for k in range(FIELD_SIZE):
                 ux, uy, uz = fields[0, before + k], fields[1, before + k], fields[2, before + k]
                 final[0, k], final[1, k], final[2, k] = ux, uy, uz
-                at_x, at_y, at_z = x - ux, y - uy, _STEPS[k] - uz
+                at_x, at_y, at_z = x - ux, y - uy, STEPS[k] - uz
                 outside = (at_x < low[0]) | (at_x > high[0]) | (at_y < low[1]) | (at_y > high[1])
                 outside |= (at_z < low[2]) | (at_z > high[2])
                 node[count], place[0, count], place[1, count], place[2, count] = k, at_x, at_y, at_z
@@ -108,11 +111,11 @@ def correct(
             _find_cells(place, size, count, cells, shares)
             _interpolate(lattice, size, cells, shares, count, moved)
             for n in range(count):
-                place[0, n], place[1, n], place[2, n] = x - moved[0, n], y - moved[1, n], _STEPS[node[n]] - moved[2, n]
+                place[0, n], place[1, n], place[2, n] = x - moved[0, n], y - moved[1, n], STEPS[node[n]] - moved[2, n]
             _find_cells(place, FIELD_SIZE, count, cells, shares)
             _interpolate(fields, FIELD_SIZE, cells, shares, count, u)
             for n in range(count):
-                ux, uy, uz, z = u[0, n] + moved[0, n], u[1, n] + moved[1, n], u[2, n] + moved[2, n], _STEPS[node[n]]
+                ux, uy, uz, z = u[0, n] + moved[0, n], u[1, n] + moved[1, n], u[2, n] + moved[2, n], STEPS[node[n]]
                 squared = ux * ux + uy * uy + uz * uz
                 held = z / np.sqrt(squared) if squared > z * z else _ONE
                 u[0, n], u[1, n], u[2, n] = held * ux, held * uy, held * uz
@@ -128,12 +131,6 @@ def correct(
 def _row() -> Row:
     """Room for a vector at every node of a row."""
     return np.empty((3, FIELD_SIZE), np.float32)
-
-
-@compiled
-def _shares() -> Shares:
-    """Room for what `_find_cells` finds."""
-    return np.empty((5, FIELD_SIZE), np.float32)
 
 
 @compiled

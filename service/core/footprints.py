@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float32, Int32, UInt8
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
 from service.core.depth_view import DepthView, window_around
+from service.core.grids import crossed
 from service.core.regions import grown, regions
 
 CELL_M = 0.004
@@ -245,5 +246,5 @@ def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:
     else:
         a, b, c = y, -x, 0.0
     length = math.sqrt(a * a + b * b + c * c)
-    a, b, c = a / length, b / length, c / length
-    return np.array([[a, b, c], [y * c - z * b, z * a - x * c, x * b - y * a]], np.float32)
+    first = a / length, b / length, c / length
+    return np.array([first, crossed((x, y, z), first)], np.float32)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TypeAlias
@@ -50,8 +51,13 @@ def invert_rigid(b_from_a: Transform) -> Transform:
 
 def cross(a: Vector3, b: Vector3) -> Vector3:
     """Cross product a × b, without the time that `np.cross` needs to find out which axes its arguments have."""
-    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
-    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
+    return np.array(crossed(a.tolist(), b.tolist()))
+
+
+def crossed(a: Sequence[float], b: Sequence[float]) -> tuple[float, float, float]:
+    """The same of plain numbers, three each."""
+    (ax, ay, az), (bx, by, bz) = a, b
+    return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 def transform_points(b_from_a: Transform, points_a: Points) -> Points:

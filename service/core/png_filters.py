@@ -13,7 +13,7 @@ NONE, SUB, UP, AVERAGE, PAETH = range(5)
 
 Filtered: TypeAlias = UInt8[np.ndarray, " filtered"]
 Line: TypeAlias = UInt16[np.ndarray, " width"]
-Bytes: TypeAlias = tuple[np.int64, np.int64]
+Pair: TypeAlias = tuple[np.int64, np.int64]
 
 _NOTHING = np.int64(0), np.int64(0)
 
@@ -119,7 +119,7 @@ def _undo_two(filtered: Filtered, filtered_below: Filtered, above: Line, line: L
 
 
 @compiled
-def _undo_paeth(filtered: Filtered, column: int, left: Bytes, up: Bytes, corner: Bytes) -> Bytes:
+def _undo_paeth(filtered: Filtered, column: int, left: Pair, up: Pair, corner: Pair) -> Pair:
     """A count's two bytes; high bytes seldom change, and above two of the same the guess is what is on the left."""
     high = left[0] if up[0] == corner[0] else _paeth(left[0], up[0], corner[0])
     low = _paeth(left[1], up[1], corner[1])
@@ -127,7 +127,7 @@ def _undo_paeth(filtered: Filtered, column: int, left: Bytes, up: Bytes, corner:
 
 
 @compiled
-def _bytes_of(count: np.uint16) -> Bytes:
+def _bytes_of(count: np.uint16) -> Pair:
     """High and low."""
     return np.int64(count) >> 8, np.int64(count) & 255
 

@@ -8,11 +8,10 @@ from typing import TypeAlias
 import numpy as np
 from jaxtyping import Float32
 
-from service.core.arrays import GRID_SIZE, Occupancy
+from service.core.arrays import GRID_SIZE, Bytes, Occupancy
 from service.core.compiled import compiled
 from service.core.condition import Condition
 from service.core.prior_grid import CellGrid
-from service.core.prior_moments import Bytes
 
 MIN_RADIUS = 1.5 / GRID_SIZE
 """Smaller patches would fall between the voxels."""

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from functools import lru_cache, partial
-from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int, UInt8
+from jaxtyping import Float32, Float64, Int
 
 from service.core.arrays import Eights, Occupancy
 from service.core.compiled import compiled
@@ -15,7 +14,6 @@ from service.core.extent import Voxel
 GAUSS_3: Float64[np.ndarray, "3"] = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
 """Abscissae in [0, 1] of the Gauss rule of three points."""
 
-Bytes: TypeAlias = UInt8[np.ndarray, "x=64 y=64 z=64"]
 Table = Float32[np.ndarray, "voxels points"]
 Weights = Float32[np.ndarray, "27 x y z"]
 FloorWeights = Float32[np.ndarray, "9 x y"]

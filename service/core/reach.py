@@ -9,7 +9,7 @@ from jaxtyping import Int64
 
 from service.core.arrays import GRID_SIZE
 from service.core.compiled import compiled
-from service.core.displacement import Field
+from service.core.displacement import STEPS, Field
 from service.core.extent import Voxel
 from service.core.prior_field import FIELD_SIZE
 
@@ -19,7 +19,6 @@ CELLS = FIELD_SIZE + 1
 Tops: TypeAlias = Int64[np.ndarray, "x=33 y=33"]
 """Of each column of cells: the voxel after the last that is looked up, 0 for none."""
 
-_STEPS = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
 _REACH = 1.01
 """Voxels beyond the box that count as it: half a one in which the values fall to zero, half a one that the outermost
 voxels lie beyond the outermost nodes, and a little for rounding."""
@@ -53,8 +52,8 @@ def tell_tops(field: Field, first: Voxel, end: Voxel, first_cell: int, end_cell:
         if i < FIELD_SIZE:
             for j in range(FIELD_SIZE):
                 for k in range(FIELD_SIZE):
-                    x, y = _STEPS[i] - field[0, i, j, k], _STEPS[j] - field[1, i, j, k]
-                    z = _STEPS[k] - field[2, i, j, k]
+                    x, y = STEPS[i] - field[0, i, j, k], STEPS[j] - field[1, i, j, k]
+                    z = STEPS[k] - field[2, i, j, k]
                     side_x = np.uint8(x < low_x) | np.uint8(x > high_x) << np.uint8(1)
                     side_y = np.uint8(y < low_y) | np.uint8(y > high_y) << np.uint8(1)
                     side_z = np.uint8(z < low_z) | np.uint8(z > high_z) << np.uint8(1)

@@ -22,7 +22,7 @@ from service.core.arrays import (
 from service.core.camera import Intrinsics, project
 from service.core.compiled import compiled
 from service.core.extent import filled_range
-from service.core.grids import Grid, centres_seen_from
+from service.core.grids import Grid, centres_seen_from, crossed
 
 EDGE_OVER_EXTENT = 1.35
 """Edge of the view grid over the largest observed extent."""
@@ -117,7 +117,7 @@ def view_axes(up: Vector3) -> Transform:
         x0, x1, x2 = z1 * z0, z1 * z1 - 1.0, z1 * z2
     length = math.sqrt(x0 * x0 + x1 * x1 + x2 * x2)
     x0, x1, x2 = x0 / length, x1 / length, x2 / length
-    y0, y1, y2 = z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0
+    y0, y1, y2 = crossed((z0, z1, z2), (x0, x1, x2))
     return np.array([[x0, y0, z0, 0.0], [x1, y1, z1, 0.0], [x2, y2, z2, 0.0], [0.0, 0.0, 0.0, 1.0]])
 
 
