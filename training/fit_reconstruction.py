@@ -69,7 +69,9 @@ def fit_reconstruction(
             batch = training.augmented_batch(rows, config.augmentation, step.rng)
         if step.rng.random() < 0.5:
             batch = batch.mirrored()
-        logits = network(batch.view)
+        with torch.autocast("cpu", torch.bfloat16, enabled=config.bfloat16):
+            logits = network(batch.view)
+        logits = logits.float()
         # What noise carried into the body where the camera saw nothing costs the same whatever is said there.
         free = (batch.view[:, 1] > 0.5) if config.overrule else torch.zeros_like(logits, dtype=torch.bool)
         entropy, overlap = occupancy_losses(logits, batch.truth, free, config.alpha)
