@@ -200,9 +200,15 @@ def _find_surface(z_m: Float32[np.ndarray, "rows columns"], surface: Bool[np.nda
             right = z_m[row, column + 1] if column + 1 < columns else hole
             above = z_m[row - 1, column] if row > 0 else hole
             below = z_m[row + 1, column] if row + 1 < rows else hole
-            across, along_x = _neighbourhood(left, z, right)
-            down, along_y = _neighbourhood(above, z, below)
-            surface[row, column] = (across or down) and not (along_x or along_y)
+            surface[row, column] = is_on_surface(left, z, right, above, below)
+
+
+@compiled
+def is_on_surface(left: np.float32, z: np.float32, right: np.float32, above: np.float32, below: np.float32) -> bool:
+    """See `on_surface`: of one reading and its four neighbours, NaN where there is none."""
+    across, along_x = _neighbourhood(left, z, right)
+    down, along_y = _neighbourhood(above, z, below)
+    return (across or down) and not (along_x or along_y)
 
 
 @compiled
@@ -214,10 +220,10 @@ def _neighbourhood(before: np.float32, z: np.float32, after: np.float32) -> tupl
     step_in, step_out = z - before, after - z
     jump_in = max(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * z)
     jump_out = max(np.float32(JUMP_M), np.float32(JUMP_PER_DEPTH) * after)
-    level = abs(step_in) <= jump_in or abs(step_out) <= jump_out
-    rises = step_in > jump_in and step_out > jump_out
-    falls = step_in < -jump_in and step_out < -jump_out
-    return bool(level), bool(rises or falls)
+    level = (abs(step_in) <= jump_in) | (abs(step_out) <= jump_out)
+    rises = (step_in > jump_in) & (step_out > jump_out)
+    falls = (step_in < -jump_in) & (step_out < -jump_out)
+    return bool(level), bool(rises | falls)
 
 
 def narrowed(where: Bool[np.ndarray, "rows columns"], kept: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, "rows columns"]:

@@ -10,11 +10,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, UInt8
+from jaxtyping import Float32, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
-from service.core.depth_view import DepthView, window_around
+from service.core.depth_view import window_around
 from service.core.grids import crossed
 from service.core.regions import grown, regions
 
@@ -52,17 +52,6 @@ class Footprints:
         found = np.empty(len(points), np.int32)
         _look_up(points, self.axes, self.corner_m, np.float32(1.0 / self.cell_m), self.labels, found)
         return found
-
-    def standing_in(
-        self, view: DepthView, where: Bool[np.ndarray, "rows columns"], label: int
-    ) -> Bool[np.ndarray, "rows columns"]:
-        """Which of the chosen readings of a view stand in one footprint."""
-        standing = np.empty(where.shape, np.bool_)
-        cells_per_m = np.float32(1.0 / self.cell_m)
-        _pick(
-            view.z_m, view.ray_x, view.ray_y, where, self.axes, self.corner_m, cells_per_m, self.labels, label, standing
-        )
-        return standing
 
     def extent_m(self, label: int) -> float:
         """Longer side of the box around one footprint, metres."""
@@ -202,36 +191,6 @@ def _look_up(
         across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner_m[1]) * cells_per_m
         inside = down >= np.float32(0.0) and down < rows and across >= np.float32(0.0) and across < columns
         found[point] = labels[int(down), int(across)] if inside else 0
-
-
-@compiled
-def _pick(
-    z_m: Float32[np.ndarray, "rows columns"],
-    ray_x: Float32[np.ndarray, "rows columns"],
-    ray_y: Float32[np.ndarray, "rows columns"],
-    where: Bool[np.ndarray, "rows columns"],
-    axes: Float32[np.ndarray, "axes=2 3"],
-    corner_m: Float32[np.ndarray, " axes=2"],
-    cells_per_m: np.float32,
-    labels: Int32[np.ndarray, "down across"],
-    label: int,
-    standing: Bool[np.ndarray, "rows columns"],
-) -> None:
-    """As `_look_up` for a row of pixels at a time: first the cell of each, eight at once, then what stands there."""
-    nothing, high, wide = np.float32(0.0), np.float32(labels.shape[0]), np.float32(labels.shape[1])
-    cells, cell = labels.ravel(), np.empty(z_m.shape[1], np.int32)
-    for row in range(z_m.shape[0]):
-        for column in range(z_m.shape[1]):
-            z = z_m[row, column]
-            x, y = ray_x[row, column] * z, ray_y[row, column] * z
-            down = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z - corner_m[0]) * cells_per_m
-            across = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z - corner_m[1]) * cells_per_m
-            inside = (down >= nothing) & (down < high) & (across >= nothing) & (across < wide) & where[row, column]
-            down, across = (down if inside else nothing), (across if inside else nothing)
-            place = np.int32(down) * np.int32(labels.shape[1]) + np.int32(across)
-            cell[column] = np.int32(place) if inside else np.int32(-1)
-        for column in range(z_m.shape[1]):
-            standing[row, column] = cell[column] >= 0 and cells[np.uint32(cell[column])] == label
 
 
 def _horizontal_axes(up: Vector3) -> Float32[np.ndarray, "axes=2 3"]:

@@ -26,6 +26,7 @@ from service.core.depth_view import (
 )
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
 from service.core.footprints import Footprints, find_footprints, nearest_label
+from service.core.object_pixels import standing_in
 from service.core.strays import without_background
 from service.core.support_plane import SupportPlane
 from service.core.surroundings import Support, distances_m, fit_support, sample_view, support_around_mask
@@ -150,7 +151,8 @@ def _segment_masked(
         points = view.points(shown)
     known_up = support.fitted.normal if support is not None else up
     kept = without_background(points, IMAGE_UP if known_up is None else known_up)
-    return _finish(view, narrowed(shown, kept), intrinsics, support, up)
+    shown = narrowed(shown, kept)
+    return _finish(view.points(shown), shown, view.first_pixel, intrinsics, support, up)
 
 
 def _segment_cluster(
@@ -187,11 +189,8 @@ def _segment_cluster(
     if found is None:
         raise EmptyObject("No object is seen there; send a mask, or a contact on it.", field="depth")
     footprints, label, seen = found
-    view = view_depth(depth_m, intrinsics, seen)
-    shown = on_surface(view.z_m)
-    if support is not None:
-        shown &= support.clearance(view) > 1.0
-    return _finish(view, footprints.standing_in(view, shown, label), intrinsics, support, up)
+    points, shown = standing_in(depth_m, intrinsics, seen, support, footprints, label)
+    return _finish(points, shown, (seen[0].start, seen[1].start), intrinsics, support, up)
 
 
 def _find_object(
@@ -240,18 +239,18 @@ def _find_object(
 
 
 def _finish(
-    view: DepthView,
+    points: Points,
     shown: Bool[np.ndarray, "rows columns"],
+    first_pixel: tuple[int, int],
     intrinsics: Intrinsics,
     support: Support | None,
     up: Vector3 | None,
 ) -> Segment:
-    """The object that the chosen pixels of a view at full resolution show."""
-    points = view.points(shown)
+    """The object that points of a part of the image at full resolution show."""
     _require_count(len(points), "Too few points are left of the object.", "depth")
     around, image_shape = window_around(shown), (intrinsics.height, intrinsics.width)
     rows, columns = (
-        slice(first + side.start, first + side.stop) for side, first in zip(around, view.first_pixel, strict=True)
+        slice(first + side.start, first + side.stop) for side, first in zip(around, first_pixel, strict=True)
     )
     flags = set()
     if min(rows.start, image_shape[0] - rows.stop, columns.start, image_shape[1] - columns.stop) < BORDER_PX:

@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
-import cv2
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
@@ -33,6 +32,13 @@ AGREEMENT_RAD = math.radians(1.0)
 MIN_INLIERS = 60
 MIN_SHARE = 0.1
 """Share of the local weight that must lie on the plane; on real frames of objects on tables it is 0.5 and more."""
+
+
+_ITERATIONS = 8
+"""Leave 25⁻⁸ of what the normal was off."""
+
+_THINNEST = 1e-12
+"""Variance that any plane has, as a share of that along it."""
 
 
 @dataclass(frozen=True)
@@ -83,56 +89,55 @@ def find_support_plane(
     """
     if len(points) < MIN_INLIERS or float(weights.sum()) <= 0.0:
         return None
-    normals, offsets = _hypotheses(points, weights, up)
-    if len(offsets) == 0:
+    planes = _hypotheses(points, weights, up)
+    if planes.shape[1] == 0:
         return None
-    # Kernels are compiled once more for every layout that arrays come in.
-    must_be_above = np.ascontiguousarray(must_be_above)
     # A fifth of the points is enough to tell the good hypotheses from the rest.
-    some, some_above = points[::5].copy(), must_be_above[::5].copy()
-    rough, _ = _score(some, weights[::5].copy(), some_above, normals, offsets)
-    finalists = np.argsort(rough)[-FINALISTS:]
-    score, gain = _score(points, weights, must_be_above, normals[:, finalists].copy(), offsets[finalists])
+    rough, _ = _score(points, weights, must_be_above, planes, every=5)
+    planes = planes.take(np.argsort(rough)[-FINALISTS:], axis=1)
+    score, gain = _score(points, weights, must_be_above, planes, every=1)
     best = int(np.argmax(score))
     if score[best] <= 0.0 or gain[best] < MIN_SHARE:
         return None
-    winner = int(finalists[best])
-    chosen = SupportPlane(normals[:, winner].astype(np.float64), float(offsets[winner]))
-    return _refine(points, weights, chosen, up)
+    return _refine(points, weights, planes[:, best].astype(np.float64), up)
 
 
 def _score(
     points: Points,
     weights: Float32[np.ndarray, " n"],
     must_be_above: Float32[np.ndarray, "known 3"],
-    normals: Float32[np.ndarray, "axis=3 k"],
-    offsets: Float32[np.ndarray, " k"],
+    planes: Float32[np.ndarray, "normal_and_offset=4 k"],
+    every: int,
 ) -> tuple[Float32[np.ndarray, " k"], Float32[np.ndarray, " k"]]:
-    """Score of each plane, and the share of the weight that lies on it."""
-    on, below, unused, object_below = np.zeros((4, len(offsets)), np.float32)
-    _weigh(points, weights / weights.sum(), normals, offsets, on, below)
+    """Score of each plane, and the share of the weight that lies on it, from every so many-th point."""
+    on, below = np.zeros((2, planes.shape[1]), np.float32)
+    _weigh(points, weights, weights[::every].sum(), every, planes, on, below)
+    score = on - below
     if len(must_be_above):
-        even = np.full(len(must_be_above), 1.0 / len(must_be_above), np.float32)
-        _weigh(must_be_above, even, normals, offsets, unused, object_below)
-    return on - below - object_below, on
+        even, (unused, object_below) = np.ones(len(must_be_above), np.float32), np.zeros_like(planes[:2])
+        # Kernels are compiled once more for every layout that arrays come in.
+        _weigh(np.ascontiguousarray(must_be_above), even, even[::every].sum(), every, planes, unused, object_below)
+        score -= object_below
+    return score, on
 
 
 @compiled
 def _weigh(
     points: Points,
     weights: Float32[np.ndarray, " n"],
-    normals: Float32[np.ndarray, "axis=3 k"],
-    offsets: Float32[np.ndarray, " k"],
+    total: np.float32,
+    every: int,
+    planes: Float32[np.ndarray, "normal_and_offset=4 k"],
     on: Float32[np.ndarray, " k"],
     below: Float32[np.ndarray, " k"],
 ) -> None:
-    """Add up the weights of the points on each plane and of those below it."""
+    """Add up the weights, of a total, of the points on each plane and of those below it."""
     nothing = np.float32(0.0)
-    for point in range(len(points)):
-        x, y, z, weight = points[point, 0], points[point, 1], points[point, 2], weights[point]
+    for point in range(0, len(points), every):
+        x, y, z, weight = points[point, 0], points[point, 1], points[point, 2], weights[point] / total
         tolerance_m = plane_tolerance_m(z)
-        for plane in range(len(offsets)):
-            height_m = normals[0, plane] * x + normals[1, plane] * y + normals[2, plane] * z + offsets[plane]
+        for plane in range(planes.shape[1]):
+            height_m = planes[0, plane] * x + planes[1, plane] * y + planes[2, plane] * z + planes[3, plane]
             on[plane] += weight if abs(height_m) < tolerance_m else nothing
             below[plane] += weight if height_m < np.float32(-2.0) * tolerance_m else nothing
 
@@ -144,39 +149,40 @@ def level_plane(plane: SupportPlane, up: Vector3, points: Points, weights: Float
     """
     if _angle_rad(plane.normal, up) > AGREEMENT_RAD:
         return plane
-    _, centre, _ = _inliers(points, weights, plane)
+    centre = np.zeros(3)
+    _average(points, weights, plane.normal.astype(np.float32), np.float32(plane.offset_m), centre, np.zeros((3, 3)))
     return SupportPlane(up, -float(centre @ up))
 
 
 def _hypotheses(
     points: Points, weights: Float32[np.ndarray, " n"], up: Vector3 | None
-) -> tuple[Float32[np.ndarray, "axis=3 k"], Float32[np.ndarray, " k"]]:
+) -> Float32[np.ndarray, "normal_and_offset=4 k"]:
     """Planes through triples of points drawn by weight, with the camera above them; level ones too if `up` is known."""
-    drawn = np.empty((3, HYPOTHESES), np.int64)
-    _draw(weights, *_draws(), drawn.reshape(-1))
-    planes = np.empty((4, HYPOTHESES))
-    planes = planes[:, : _planes_through(points, drawn, planes)]
+    drawn, planes = np.empty((3, HYPOTHESES), np.int64), np.empty((4, HYPOTHESES))
+    planes = planes[:, : _propose(points, weights, *_draws(), drawn, planes)]
     if up is not None:
         level = planes[:, up @ planes[:3] > math.cos(MAX_TILT_RAD)]
         heights = points[drawn[0, : HYPOTHESES // 2]] @ up
         upright = np.concatenate([np.broadcast_to(up[:, None], (3, len(heights))), -heights[None]])
         planes = np.concatenate([level, upright], axis=1)
-    normals_and_offsets = planes.astype(np.float32, order="C")
-    return normals_and_offsets[:3], normals_and_offsets[3]
+    return planes.astype(np.float32, order="C")
 
 
 @compiled
-def _draw(
+def _propose(
+    points: Points,
     weights: Float32[np.ndarray, " n"],
     draws: Float64[np.ndarray, " draws"],
     places: Int64[np.ndarray, " draws"],
-    drawn: Int64[np.ndarray, " draws"],
-) -> None:
-    """The point that each draw, a share of the weight of all, falls on; draws come in rising order, with their places.
+    drawn: Int64[np.ndarray, "corner=3 k"],
+    planes: Float64[np.ndarray, "normal_and_offset=4 k"],
+) -> int:
+    """Planes through triples of points, the camera above each; how many there are, since three in a line make none.
 
-    One walk along the points meets all draws: a search for each would wait for hundreds of wrongly guessed branches.
+    Each draw, a share of the weight of all, falls on a point; draws come in rising order, with their places. One walk
+    along the points meets all draws: a search for each would wait for hundreds of wrongly guessed branches.
     """
-    cumulative, total = np.empty(len(weights)), 0.0
+    corners, cumulative, total = drawn.ravel(), np.empty(len(weights)), 0.0
     for point in range(len(weights)):
         total += np.float64(weights[point])
         cumulative[point] = total
@@ -185,14 +191,7 @@ def _draw(
         wanted = draws[draw] * total
         while point < last and cumulative[point] < wanted:
             point += 1
-        drawn[places[draw]] = point
-
-
-@compiled
-def _planes_through(
-    points: Points, drawn: Int64[np.ndarray, "corner=3 k"], planes: Float64[np.ndarray, "normal_and_offset=4 k"]
-) -> int:
-    """Planes through triples of points, the camera above each; how many there are, since three in a line make none."""
+        corners[places[draw]] = point
     found = 0
     for draw in range(drawn.shape[1]):
         first, second, third = drawn[0, draw], drawn[1, draw], drawn[2, draw]
@@ -221,36 +220,6 @@ def _draws() -> tuple[Float64[np.ndarray, " draws"], Int64[np.ndarray, " draws"]
     draws = draws[places]
     draws.flags.writeable = places.flags.writeable = False
     return draws, places
-
-
-def _refine(
-    points: Points,
-    weights: Float32[np.ndarray, " n"],
-    plane: SupportPlane,
-    up: Vector3 | None,
-) -> SupportPlane | None:
-    for _ in range(3):
-        count, centre, covariance = _inliers(points, weights, plane)
-        if count < MIN_INLIERS:
-            return None
-        # Largest variance first; axes are rows. It takes a fifth of the time of NumPy's, which calls LAPACK.
-        _, variances, axes = cv2.eigen(covariance)
-        # A strip of points fixes a line, not a plane: five times as wide as thick it must be.
-        if variances[1, 0] < 25.0 * max(variances[2, 0], 0.0):
-            return None if up is None else SupportPlane(up, -float(centre @ up))
-        normal = np.asarray(axes[2] if float(axes[2] @ plane.normal) > 0.0 else -axes[2], np.float64)
-        plane = SupportPlane(normal, -float(normal @ centre))
-    if up is not None and _angle_rad(plane.normal, up) > MAX_TILT_RAD:
-        return None
-    return plane
-
-
-def _inliers(points: Points, weights: Float32[np.ndarray, " n"], plane: SupportPlane) -> tuple[int, Vector3, Matrix3]:
-    """Number, weighted centre and weighted covariance of the points on a plane."""
-    centre, covariance = np.zeros(3), np.zeros((3, 3))
-    normal, offset_m = plane.normal.astype(np.float32), np.float32(plane.offset_m)
-    count = _average(points, weights, normal, offset_m, centre, covariance)
-    return count, centre, covariance
 
 
 @compiled
@@ -284,6 +253,74 @@ def _average(
         covariance[0, 2] = covariance[2, 0] = xz / total - mean_x * mean_z
         covariance[1, 2] = covariance[2, 1] = yz / total - mean_y * mean_z
     return count
+
+
+def _refine(
+    points: Points,
+    weights: Float32[np.ndarray, " n"],
+    plane: Float64[np.ndarray, "normal_and_offset=4"],
+    up: Vector3 | None,
+) -> SupportPlane | None:
+    normal, centre = plane[:3].copy(), np.zeros(3)
+    count, is_strip = _settle(points, weights, normal, plane[3], centre)
+    if count < MIN_INLIERS:
+        return None
+    if is_strip:
+        return None if up is None else SupportPlane(up, -float(centre @ up))
+    if up is not None and _angle_rad(normal, up) > MAX_TILT_RAD:
+        return None
+    return SupportPlane(normal, -float(normal @ centre))
+
+
+@compiled
+def _settle(
+    points: Points, weights: Float32[np.ndarray, " n"], normal: Vector3, offset_m: float, centre: Vector3
+) -> tuple[int, bool]:
+    """Turn a plane to its inliers three times.
+
+    Returns:
+        How many there are at last; whether they are a strip, which fixes a line, not a plane.
+    """
+    covariance, count = np.zeros((3, 3)), 0
+    for _ in range(3):
+        count = _average(points, weights, normal.astype(np.float32), np.float32(offset_m), centre, covariance)
+        if count < MIN_INLIERS:
+            break
+        if not _turn_to_least(covariance, normal):
+            return count, True
+        offset_m = -(normal[0] * centre[0] + normal[1] * centre[1] + normal[2] * centre[2])
+    return count, False
+
+
+@compiled
+def _turn_to_least(covariance: Matrix3, normal: Vector3) -> bool:
+    """Turn a unit vector to the axis of the least variance, on its own side; whether the points are no strip.
+
+    A strip is less than five times as wide as thick. Of what is wider, the inverse shrinks every other part of the
+    vector by 25 at least.
+
+    Source: inverse iteration; Golub and Van Loan, "Matrix Computations", 8.2.2.
+    """
+    # Planes without any thickness have no inverse.
+    trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
+    a, b, c = covariance[0, 0] + _THINNEST * trace, covariance[0, 1], covariance[0, 2]
+    d, e, f = covariance[1, 1] + _THINNEST * trace, covariance[1, 2], covariance[2, 2] + _THINNEST * trace
+    aa, bb, cc, dd, ee, ff = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
+    before_x, before_y, before_z = normal[0], normal[1], normal[2]
+    x, y, z = before_x, before_y, before_z
+    for _ in range(_ITERATIONS):
+        x, y, z = aa * x + bb * y + cc * z, bb * x + dd * y + ee * z, cc * x + ee * y + ff * z
+        length = math.sqrt(x * x + y * y + z * z)
+        if not length > 0.0:
+            return False  # a line, or a point
+        x, y, z = x / length, y / length, z / length
+    side = -1.0 if x * before_x + y * before_y + z * before_z < 0.0 else 1.0
+    normal[0], normal[1], normal[2] = side * x, side * y, side * z
+    # Of the other two variances sum and product are known.
+    least = x * (a * x + b * y + c * z) + y * (b * x + d * y + e * z) + z * (c * x + e * y + f * z)
+    half, product = 0.5 * (a + d + f - least), aa + dd + ff - least * (a + d + f - least)
+    middle = half - math.sqrt(max(half * half - product, 0.0))
+    return bool(middle >= 25.0 * least)
 
 
 def _angle_rad(a: Vector3, b: Vector3) -> float:

@@ -119,6 +119,19 @@ def _measure(points: Points, place_m: Float32[np.ndarray, "3"], distances_m: Flo
 
 
 @compiled
+def _weigh(
+    points: Points, place_m: Float32[np.ndarray, "3"], reach_m: np.float32, weights: Float32[np.ndarray, " n"]
+) -> None:
+    """How near each point is to a place: 1 there, a quarter at the reach."""
+    one = np.float32(1.0)
+    _measure(points, place_m, weights)
+    for point in range(len(points)):
+        reaches = weights[point] / reach_m
+        share = one + reaches * reaches
+        weights[point] = one / (share * share)
+
+
+@compiled
 def _clear(
     z_m: Float32[np.ndarray, "rows columns"],
     ray_x: Float32[np.ndarray, "rows columns"],
@@ -152,8 +165,8 @@ def fit_support(
         known_object: Points of the object, which must lie above the plane; may be empty.
         up: Unit vector against gravity, or None.
     """
-    reach_m = np.float32(LOCALITY * max(float(place_m[2]), 0.1))
-    weights = 1.0 / np.square(1.0 + np.square(distances_m(points, place_m) / reach_m))
+    weights = np.empty(len(points), np.float32)
+    _weigh(points, place_m.astype(np.float32), np.float32(LOCALITY * max(float(place_m[2]), 0.1)), weights)
     fitted = find_support_plane(points, weights, known_object, up)
     if fitted is None:
         return None

@@ -43,6 +43,9 @@ States: TypeAlias = Float32[np.ndarray, "state=2 x=64 y=64 z=64"]
 _BLOCK = 256
 """Points that are taken at a time."""
 
+_FEW = 64
+"""Values that are looked at as one: few blocks of so many hold one that is among the lowest."""
+
 HORIZONTAL_VIEW = 0.05
 """Below this sine between the optical axis and `up` the view has no usable heading (the camera looks straight down)."""
 
@@ -130,36 +133,62 @@ def view_grid(points: Points, up: Vector3, support_offset_m: float) -> Grid:
         support_offset_m: The support plane is where `up · p + support_offset_m = 0`.
     """
     camera_from_view = view_axes(up)
-    local = np.empty((3, len(points)), np.float32)
-    _rotate(points, camera_from_view[:3, :3].astype(np.float32), local)
-    low = np.array([_without_outliers(local[0]), _without_outliers(local[1]), -support_offset_m])
-    high = np.array([-_without_outliers(-along) for along in local])
-    edge_m = EDGE_OVER_EXTENT * max(float((high - low).max()), 1e-3)
-    corner = np.array([low[0] - FRONT_MARGIN * edge_m, (low[1] + high[1] - edge_m) / 2, low[2]])
+    low_x, low_y, high_x, high_y, high_z = _bounds(points, camera_from_view[:3, :3].astype(np.float32))
+    edge_m = EDGE_OVER_EXTENT * max(high_x - low_x, high_y - low_y, high_z + support_offset_m, 1e-3)
+    corner = np.array([low_x - FRONT_MARGIN * edge_m, (low_y + high_y - edge_m) / 2, -support_offset_m])
     camera_from_view[:3, 3] = camera_from_view[:3, :3] @ corner
     return Grid(pitch_m=edge_m / GRID_SIZE, camera_from_grid=camera_from_view)
 
 
 @compiled
-def _rotate(points: Points, axes: Float32[np.ndarray, "3 axis=3"], local: Float32[np.ndarray, "axis=3 n"]) -> None:
-    """Coordinates of points along the columns of a rotation."""
-    for axis in range(3):
-        a, b, c = axes[0, axis], axes[1, axis], axes[2, axis]
-        for point in range(len(points)):
-            local[axis, point] = a * points[point, 0] + b * points[point, 1] + c * points[point, 2]
+def _bounds(points: Points, axes: Float32[np.ndarray, "3 axis=3"]) -> tuple[float, float, float, float, float]:
+    """Lowest x and y and highest x, y and z of points along the columns of a rotation, but for outliers."""
+    x, y, z = np.empty((3, len(points)), np.float32)
+    for point in range(len(points)):
+        a, b, c = points[point, 0], points[point, 1], points[point, 2]
+        x[point] = axes[0, 0] * a + axes[1, 0] * b + axes[2, 0] * c
+        y[point] = axes[0, 1] * a + axes[1, 1] * b + axes[2, 1] * c
+        z[point] = -(axes[0, 2] * a + axes[1, 2] * b + axes[2, 2] * c)
+    low_x, low_y, high_z = _without_outliers(x), _without_outliers(y), -_without_outliers(z)
+    for point in range(len(points)):
+        x[point], y[point] = -x[point], -y[point]
+    return low_x, low_y, -_without_outliers(x), -_without_outliers(y), high_z
 
 
+@compiled
 def _without_outliers(values: Float32[np.ndarray, " n"]) -> float:
     """The value at `OUTLIER_PERCENTILE`, as `np.percentile` finds it, though only the lowest values are sorted."""
     place = OUTLIER_PERCENTILE / 100.0 * (len(values) - 1)
     below = int(place)
     share = place - below
     # A sixteenth of the values tells about how low the wanted one is: this far in, about twice as many are lower.
-    few = np.sort(values[::16])
-    lowest = values[values <= few[min(below // 8 + 4, len(few) - 1)]]
-    ascending = np.sort(lowest if len(lowest) > below + 1 else values)
+    few = np.full(min(below // 8 + 5, (len(values) + 15) // 16), np.float32(np.inf))
+    for i in range(0, len(values), 16):
+        _insert(few, values[i])
+    limit, count = few[-1], 0
+    lowest = np.empty(len(values), np.float32)
+    for first in range(0, len(values), _FEW):
+        block, lower = values[first : first + _FEW], 0
+        for value in block:
+            lower += value <= limit
+        if lower:
+            for value in block:
+                lowest[count] = value
+                count += value <= limit
+    ascending = np.sort(lowest[:count] if count > below + 1 else values)
     above = min(below + 1, len(ascending) - 1)
-    return float((1.0 - share) * ascending[below] + share * ascending[above])
+    return (1.0 - share) * np.float64(ascending[below]) + share * np.float64(ascending[above])
+
+
+@compiled
+def _insert(lowest: Float32[np.ndarray, " n"], value: np.float32) -> None:
+    """Put a value among the lowest ones, in ascending order, in place of the highest of them, if it is lower."""
+    place = len(lowest) - 1
+    if value < lowest[place]:
+        while place > 0 and lowest[place - 1] > value:
+            lowest[place] = lowest[place - 1]
+            place -= 1
+        lowest[place] = value
 
 
 def voxelize_points(points: Points, grid: Grid) -> Occupancy:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.core.depth_view import narrowed, view_depth
 from service.core.footprints import Footprints, find_footprints, nearest_label
-from tests.synthetic_scenes import CAMERA, Box, render
 
 UP = np.array([0.0, -1.0, 0.0])
 PLACE = np.array([0.0, 0.0, 0.6])
@@ -67,21 +65,6 @@ def test_points_outside_the_map_have_no_footprint() -> None:
     footprints = find(block(-0.02, 0.02, 0.58, 0.62))
     far = np.array([[5, 0, 5], [-5, 0, 0.6], [0, 0, 0.7]], np.float32)
     np.testing.assert_array_equal(footprints.label_of(far), [0, 0, 0])
-
-
-def test_pixels_stand_where_their_points_do() -> None:
-    """One box of two in a depth image, whatever pixels are asked about."""
-    scene = render([Box((-0.12, -0.05, 0.0), (-0.04, 0.05, 0.1)), Box((0.04, -0.05, 0.0), (0.12, 0.05, 0.1))])
-    view = view_depth(scene.depth_m, CAMERA, (slice(60, 420), slice(80, 560)))
-    shown = view.crop(scene.shown >= 0)
-    points = view.points(shown)
-    footprints = find_footprints(points, scene.up, points[0].astype(np.float64))
-    assert footprints is not None
-    where = view.crop(np.isfinite(scene.depth_m)) & (np.random.default_rng(0).random(view.z_m.shape) < 0.7)
-    labels = footprints.label_of(view.points(where))
-    label = int(labels.max())
-    assert 1000 < (labels == label).sum() < (labels > 0).sum() < len(labels)
-    np.testing.assert_array_equal(footprints.standing_in(view, where, label), narrowed(where, labels == label))
 
 
 def test_extent_is_the_longer_side() -> None:

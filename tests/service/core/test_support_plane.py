@@ -31,6 +31,17 @@ def angle_deg(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.degrees(np.arccos(min(1.0, abs(float(a @ b))))))
 
 
+def test_normal_is_the_axis_of_least_variance() -> None:
+    points = plane_points(UP, 0.4, 3000)
+    plane = find_support_plane(points, even(points), NOTHING)
+    assert plane is not None
+    on = points[np.abs(plane.heights_m(points)) < 0.002].astype(np.float64)
+    assert len(on) > 2990  # four times the noise
+    axes = np.linalg.eigh(np.cov(on.T)).eigenvectors
+    assert angle_deg(plane.normal, axes[:, 0]) < 1e-3
+    assert plane.normal @ UP > 0.99
+
+
 def test_plane_is_found_among_sixty_percent_outliers() -> None:
     clutter = RNG.uniform([-0.5, -0.9, 0.4], [0.5, 0.05, 1.2], (1500, 3)).astype(np.float32)
     clutter = clutter[clutter @ UP + 0.4 > 0.0]
