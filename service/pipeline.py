@@ -236,9 +236,9 @@ class Pipeline:
     ) -> tuple[LoadResult, ...]:
         """Every load on its own, all in one batch of the network."""
         with watch.stage("deform"):
-            asked = self._deformation.spare.offer(Once(lambda: self._questions(body, contacts, request)))
+            asked = Once(lambda: self._questions(body, contacts, request))
             if any(load.force_n.any() for load in request.loads):
-                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside)
+                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside, asked)
             questions = asked()
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[LoadResult] = iter(())
@@ -249,8 +249,9 @@ class Pipeline:
                 threshold = self._deformation.manifest.threshold if request.threshold is None else request.threshold
                 moving = [question for question in questions if question.condition is not None]
 
-                def moved(i: int, spread: Spread) -> LoadResult:
-                    return _moved(body, moving[i], deformation.probability[i], deformation.field[i], threshold, spread)
+                def moved(i: int, _: Spread) -> LoadResult:
+                    # One load alone is not shared out: the other thread would wake later than this one is done.
+                    return _moved(body, moving[i], deformation.probability[i], deformation.field[i], threshold)
 
                 answers = iter(self._deformation.spare.each(moved, len(moving)))
             return tuple(
@@ -323,10 +324,10 @@ def _unmoved(body: Body, question: Question) -> LoadResult:
 
 
 def _moved(
-    body: Body, question: Question, probability: Probability, field: Field, threshold: float, spread: Spread
+    body: Body, question: Question, probability: Probability, field: Field, threshold: float
 ) -> LoadResult:
     """The network's answer in metres."""
-    moved = motion(field, body.occupancy, probability, threshold, body.grid.edge_m, spread)
+    moved = motion(field, body.occupancy, probability, threshold, body.grid.edge_m)
     deformed = moved.deformed
     sides = (deformed[:: GRID_SIZE - 1], deformed[:, :: GRID_SIZE - 1], deformed[:, :, -1])
     flags = question.flags | ({"leaves_grid"} if any(side.any() for side in sides) else set())

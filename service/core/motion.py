@@ -11,7 +11,6 @@ from service.core.arrays import GRID_SIZE, Eights, Occupancy, Probability
 from service.core.columns import fill_column, fill_slab, scratch
 from service.core.compiled import compiled
 from service.core.displacement import Field
-from service.core.spread import Spread, in_turn
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +29,7 @@ class Motion:
     mean_m: float
 
 
-def motion(
-    field: Field, rest: Occupancy, probability: Probability, threshold: float, edge_m: float, spread: Spread = in_turn
-) -> Motion:
+def motion(field: Field, rest: Occupancy, probability: Probability, threshold: float, edge_m: float) -> Motion:
     """The body after a load, and the field at its voxels.
 
     Between its nodes it is trilinear, and beyond the outermost the last value holds. The lowest voxels of the body at
@@ -44,31 +41,20 @@ def motion(
         probability: That a voxel is in the body after it.
         threshold: Above which it is taken to be.
         edge_m: Edge of the grid in metres.
-        spread: Over the voxels along x.
     """
     field, probability = np.ascontiguousarray(field), np.ascontiguousarray(probability)
     sole, edge, least = np.ascontiguousarray(rest[:, :, 0]), np.float32(edge_m), np.float32(threshold)
     deformed = np.empty(probability.shape, np.bool_)
-    eights = deformed.view(np.uint64)
-    parts: dict[int, tuple[Float32[np.ndarray, "axis=3 n"], float, float]] = {}
-
-    def gather(first: int, end: int) -> None:
-        moved_m = np.empty((3, _tell_deformed(probability, least, first, end, deformed)), np.float32)
-        parts[first] = moved_m, *_gather(field, sole, deformed, eights, edge, first, end, moved_m)
-
-    spread(gather, GRID_SIZE)
-    gathered, longest_m, total_m = zip(*(part for _, part in sorted(parts.items())), strict=True)
-    moved_m = gathered[0] if len(gathered) == 1 else np.concatenate(gathered, axis=1)
-    return Motion(deformed, moved_m, max(longest_m), sum(total_m) / max(moved_m.shape[1], 1))
+    moved_m = np.empty((3, _tell_deformed(probability, least, deformed)), np.float32)
+    longest_m, total_m = _gather(field, sole, deformed, deformed.view(np.uint64), edge, moved_m)
+    return Motion(deformed, moved_m, longest_m, total_m / max(moved_m.shape[1], 1))
 
 
 @compiled
-def _tell_deformed(
-    probability: Probability, threshold: np.float32, first_x: int, end_x: int, deformed: Occupancy
-) -> int:
-    """Which voxels of some layers are above the threshold, and how many."""
+def _tell_deformed(probability: Probability, threshold: np.float32, deformed: Occupancy) -> int:
+    """Which voxels are above the threshold, and how many."""
     count = 0
-    for x in range(first_x, end_x):
+    for x in range(GRID_SIZE):
         for y in range(GRID_SIZE):
             column = np.int32(0)
             for z in range(GRID_SIZE):
@@ -82,12 +68,12 @@ def _tell_deformed(
 @compiled
 def _gather(
     field: Field, sole: Bool[np.ndarray, "x=64 y=64"], deformed: Occupancy, eights: Eights, edge_m: np.float32,
-    first_x: int, end_x: int, moved_m: Float32[np.ndarray, "axis=3 n"],
+    moved_m: Float32[np.ndarray, "axis=3 n"],
 ) -> tuple[float, float]:  # fmt: skip
-    """Metres at every filled voxel of some layers; returned are the greatest length and the sum of all."""
+    """Metres at every filled voxel; returned are the greatest length and the sum of all."""
     coarse, slab, u = scratch()
     n, longest, total = 0, np.float32(0.0), 0.0
-    for x in range(first_x, end_x):
+    for x in range(GRID_SIZE):
         first, end = GRID_SIZE, 0
         for y in range(GRID_SIZE):
             if _any(eights, x, y):

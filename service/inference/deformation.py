@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 import onnxruntime
@@ -73,11 +73,22 @@ class DeformationModel:
         self._latent = int(next(i for i in generator.get_inputs() if i.name == "noise").shape[1])
         self._bodies = Bodies(self._encode)
 
-    def prepare(self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None) -> None:
-        """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides."""
+    def prepare(
+        self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None, asked: Once[Any] | None = None
+    ) -> None:
+        """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides.
+
+        Args:
+            rest: The body.
+            poisson_ratio: ν of its material.
+            inside: See `service.core.lookup.Warp`.
+            asked: What its caller needs besides.
+        """
         body = self._bodies.find(rest, inside)
-        self.spare.offer(body.features)
-        self.spare.offer(body.warp)
+        # The network first, one long call: many short ones in both threads would wait for the interpreter in turns.
+        for once in (body.features, asked, body.warp):
+            if once is not None:
+                self.spare.offer(once)
         body.solver(poisson_ratio)()
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition], inside: Inside | None = None) -> Prior:
@@ -93,9 +104,9 @@ class DeformationModel:
                 nodal[rows[first:end]] = solve([conditions[row] for row in rows[first:end]])
 
             self.spare.spread(part, len(rows))
-        # the fields are those of the cells, whatever the material
-        backward = self.spare.offer(Once(lambda: solver.backward(nodal)))
-        return Prior(solver.forward(nodal), backward)
+        # The fields are those of the cells, whatever the material. The network is kept waiting by the first alone.
+        forward = solver.forward(nodal)
+        return Prior(forward, self.spare.offer(Once(lambda: solver.backward(nodal))))
 
     def __call__(
         self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from service.core.motion import motion
-from tests.service.fields import at_voxels, bent, parted
+from tests.service.fields import at_voxels, bent
 
 
 def test_motion_is_the_field_in_the_deformed_body_in_metres() -> None:
@@ -35,14 +35,3 @@ def test_what_stands_on_the_floor_does_not_move() -> None:
     assert not moved_m[:, 10:20, 10:20, 0].any()
     assert moved_m[:, 9, 10, 0].all()
     assert moved_m[:, :, :, 1:].all()
-
-
-def test_two_parts_are_the_whole() -> None:
-    rng = np.random.default_rng(8)
-    rest, probability, field = rng.random((64, 64, 64)) < 0.1, rng.random((64, 64, 64), np.float32), bent(4)
-    whole = motion(field, rest, probability, 0.7, 0.3)
-    for middle in (1, 31, 32, 45):
-        parts = motion(field, rest, probability, 0.7, 0.3, parted(middle))
-        np.testing.assert_array_equal(parts.deformed, whole.deformed)
-        np.testing.assert_array_equal(parts.moved_m, whole.moved_m)
-        assert (parts.max_m, parts.mean_m) == (whole.max_m, pytest.approx(whole.mean_m, rel=1e-12))
