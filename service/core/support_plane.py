@@ -92,16 +92,31 @@ def find_support_plane(
     planes = _hypotheses(points, weights, up)
     if planes.shape[1] == 0:
         return None
+    # Kernels are compiled once more for every layout that arrays come in.
+    best = _choose(points, weights, np.ascontiguousarray(must_be_above), planes)
+    return None if best < 0 else _refine(points, weights, planes[:, best].astype(np.float64), up)
+
+
+@compiled
+def _choose(
+    points: Points,
+    weights: Float32[np.ndarray, " n"],
+    must_be_above: Float32[np.ndarray, "known 3"],
+    planes: Float32[np.ndarray, "normal_and_offset=4 k"],
+) -> int:
+    """Number of the plane with the best score; -1 where none is good enough."""
     # A fifth of the points is enough to tell the good hypotheses from the rest.
-    rough, _ = _score(points, weights, must_be_above, planes, every=5)
-    planes = planes.take(np.argsort(rough)[-FINALISTS:], axis=1)
-    score, gain = _score(points, weights, must_be_above, planes, every=1)
-    best = int(np.argmax(score))
-    if score[best] <= 0.0 or gain[best] < MIN_SHARE:
-        return None
-    return _refine(points, weights, planes[:, best].astype(np.float64), up)
+    rough, _ = _score(points, weights, must_be_above, planes, 5)
+    finalists = np.argsort(rough)[-FINALISTS:]
+    chosen = np.empty((4, len(finalists)), np.float32)
+    for i in range(len(finalists)):
+        chosen[:, i] = planes[:, finalists[i]]
+    score, on = _score(points, weights, must_be_above, chosen, 1)
+    best = np.argmax(score)
+    return int(finalists[best]) if score[best] > 0.0 and on[best] >= MIN_SHARE else -1
 
 
+@compiled
 def _score(
     points: Points,
     weights: Float32[np.ndarray, " n"],
@@ -110,14 +125,16 @@ def _score(
     every: int,
 ) -> tuple[Float32[np.ndarray, " k"], Float32[np.ndarray, " k"]]:
     """Score of each plane, and the share of the weight that lies on it, from every so many-th point."""
-    on, below = np.zeros((2, planes.shape[1]), np.float32)
-    _weigh(points, weights, weights[::every].sum(), every, planes, on, below)
-    score = on - below
-    if len(must_be_above):
-        even, (unused, object_below) = np.ones(len(must_be_above), np.float32), np.zeros_like(planes[:2])
-        # Kernels are compiled once more for every layout that arrays come in.
-        _weigh(np.ascontiguousarray(must_be_above), even, even[::every].sum(), every, planes, unused, object_below)
-        score -= object_below
+    k = planes.shape[1]
+    on, score = np.zeros(k, np.float32), np.zeros(k, np.float32)
+    _weigh(points, weights, every, planes, on, score)
+    for plane in range(k):
+        score[plane] = on[plane] - score[plane]
+    if len(must_be_above) > 0:
+        even, unused, below = np.ones(len(must_be_above), np.float32), np.zeros(k, np.float32), np.zeros(k, np.float32)
+        _weigh(must_be_above, even, every, planes, unused, below)
+        for plane in range(k):
+            score[plane] -= below[plane]
     return score, on
 
 
@@ -125,14 +142,16 @@ def _score(
 def _weigh(
     points: Points,
     weights: Float32[np.ndarray, " n"],
-    total: np.float32,
     every: int,
     planes: Float32[np.ndarray, "normal_and_offset=4 k"],
     on: Float32[np.ndarray, " k"],
     below: Float32[np.ndarray, " k"],
 ) -> None:
-    """Add up the weights, of a total, of the points on each plane and of those below it."""
-    nothing = np.float32(0.0)
+    """Add up the weights of the points on each plane and of those below it, as shares of that of all."""
+    nothing, all_weight = np.float32(0.0), 0.0
+    for point in range(0, len(points), every):
+        all_weight += weights[point]
+    total = np.float32(all_weight)
     for point in range(0, len(points), every):
         x, y, z, weight = points[point, 0], points[point, 1], points[point, 2], weights[point] / total
         tolerance_m = plane_tolerance_m(z)
