@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float32, Int32
+from jaxtyping import Bool, Float32
 
 from service.core.arrays import DepthImage, Mask, Points
 from service.core.camera import Intrinsics, ray_grid
@@ -243,27 +243,6 @@ def _narrow(
             if where[row, column]:
                 fewer[row, column] = kept[n]
                 n += 1
-
-
-def window_of(where: Bool[np.ndarray, "rows columns"], labels: Int32[np.ndarray, " n"], label: int) -> Window:
-    """Box around those of the n set pixels of an image, in row-major order, that have a label (at least one has)."""
-    top, bottom, left, right = _bound(where, labels, label)
-    return slice(top, bottom + 1), slice(left, right + 1)
-
-
-@compiled
-def _bound(
-    where: Bool[np.ndarray, "rows columns"], labels: Int32[np.ndarray, " n"], label: int
-) -> tuple[int, int, int, int]:
-    n, top, bottom, left, right = 0, where.shape[0], -1, where.shape[1], -1
-    for row in range(where.shape[0]):
-        for column in range(where.shape[1]):
-            if where[row, column]:
-                if labels[n] == label:
-                    top, bottom = min(top, row), row
-                    left, right = min(left, column), max(right, column)
-                n += 1
-    return top, bottom, left, right
 
 
 def window_around(shown: Bool[np.ndarray, "rows columns"], margin: float = 0.0, margin_px: int = 0) -> Window:

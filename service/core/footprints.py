@@ -10,13 +10,16 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float32, Int32, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
-from service.core.depth_view import window_around
+from service.core.depth_view import DepthView, Rays, Window
 from service.core.grids import crossed
 from service.core.regions import grown, regions
+
+Vector2 = Float64[np.ndarray, " axes=2"]
+Box = tuple[int, int, int, int]
 
 CELL_M = 0.004
 """Edge of a cell of the map, metres."""
@@ -53,10 +56,20 @@ class Footprints:
         _look_up(points, self.axes, self.corner_m, np.float32(1.0 / self.cell_m), self.labels, found)
         return found
 
-    def extent_m(self, label: int) -> float:
-        """Longer side of the box around one footprint, metres."""
-        rows, columns = window_around(self.labels == label)
-        return self.cell_m * float(max(rows.stop - rows.start, columns.stop - columns.start))
+
+@dataclass(frozen=True)
+class NearestFootprint:
+    """Attributes:
+    footprints: The map it is on.
+    label: Its number there.
+    extent_m: Longer side of the box around it.
+    box: The box, in the view, of the readings that stand in it.
+    """
+
+    footprints: Footprints
+    label: int
+    extent_m: float
+    box: Window
 
 
 def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints | None:
@@ -74,14 +87,95 @@ def find_footprints(points: Points, up: Vector3, place_m: Vector3) -> Footprints
     Returns:
         The map, or None where no point lies within its reach.
     """
-    axes = _horizontal_axes(up)
-    cell_m = max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2])))
-    place = axes.astype(np.float64) @ place_m
-    labels, first_row, first_column = _map(points, axes, place.astype(np.float32), np.float32(1.0 / cell_m))
-    if labels.size == 0:
+    axes, cell_m, place = _laid_out(up, place_m)
+    labels, corner_m = _map(points, axes, place, cell_m)
+    return Footprints(axes, corner_m, cell_m, labels) if labels.size else None
+
+
+def nearest_footprint(
+    view: DepthView,
+    core: Bool[np.ndarray, "rows columns"],
+    up: Vector3,
+    place_m: Vector3,
+    nearest_to: Vector3 | tuple[float, float],
+    min_points: int,
+) -> NearestFootprint | None:
+    """The footprint that the nearest reading stands in, of those that enough readings stand in; None without any.
+
+    Args:
+        view: A part of the depth image.
+        core: The readings that footprints are mapped of, see `find_footprints`.
+        up: Unit vector against gravity.
+        place_m: Where the object is about.
+        nearest_to: A point in the camera frame, metres, or a pixel (row, column) of the whole image.
+        min_points: Readings that are enough.
+    """
+    axes, cell_m, place = _laid_out(up, place_m)
+    if isinstance(nearest_to, tuple):
+        row, column = ((to - first) / view.stride for to, first in zip(nearest_to, view.first_pixel, strict=True))
+        goal, by_pixel = np.array([row, column, 0.0], np.float32), True
+    else:
+        goal, by_pixel = nearest_to.astype(np.float32), False
+    labels, corner_m, label, extent, box = _nearest(
+        view.z_m, view.ray_x, view.ray_y, core, axes, place, cell_m, goal, by_pixel, min_points
+    )
+    if label == 0:
         return None
-    corner_m = place + cell_m * np.array([first_row, first_column])
-    return Footprints(axes, corner_m.astype(np.float32), cell_m, labels)
+    window = slice(box[0], box[1] + 1), slice(box[2], box[3] + 1)
+    return NearestFootprint(Footprints(axes, corner_m, cell_m, labels), label, cell_m * extent, window)
+
+
+def _laid_out(up: Vector3, place_m: Vector3) -> tuple[Float32[np.ndarray, "axes=2 3"], float, Vector2]:
+    """Axes of a map, the edge of its cells, and the object's place along the axes."""
+    axes = _horizontal_axes(up)
+    return axes, max(CELL_M, CELL_PER_DEPTH * abs(float(place_m[2]))), axes.astype(np.float64) @ place_m
+
+
+@compiled
+def _nearest(
+    z_m: Rays, ray_x: Rays, ray_y: Rays, core: Bool[np.ndarray, "rows columns"], axes: Float32[np.ndarray, "axes=2 3"],
+    place: Vector2, cell_m: float, goal: Float32[np.ndarray, "3"], by_pixel: bool, min_points: int,
+) -> tuple[Int32[np.ndarray, "down across"], Float32[np.ndarray, " 2"], int, int, Box]:  # fmt: skip
+    """The map and its corner, see `_map`; number of the nearest footprint, its longer side in cells; first and last
+    row and column of the readings in it.
+    """
+    count = 0
+    for row in range(core.shape[0]):
+        for column in range(core.shape[1]):
+            count += core[row, column]
+    points, distance, n = np.empty((count, 3), np.float32), np.empty(count, np.float32), 0
+    for row in range(core.shape[0]):
+        for column in range(core.shape[1]):
+            if core[row, column]:
+                z = z_m[row, column]
+                x, y = ray_x[row, column] * z, ray_y[row, column] * z
+                points[n, 0], points[n, 1], points[n, 2] = x, y, z
+                if by_pixel:
+                    x, y, z = np.float32(row), np.float32(column), np.float32(0.0)
+                distance[n] = (x - goal[0]) ** 2 + (y - goal[1]) ** 2 + (z - goal[2]) ** 2
+                n += 1
+    labels, corner_m = _map(points, axes, place, cell_m)
+    found = np.empty(count, np.int32)
+    if labels.size > 0:
+        _look_up(points, axes, corner_m, np.float32(1.0 / cell_m), labels, found)
+    label = _choose(found, distance, min_points) if labels.size > 0 else 0
+    if label == 0:
+        return labels, corner_m, 0, 0, (0, -1, 0, -1)
+    n, top, bottom, left, right = 0, core.shape[0], -1, core.shape[1], -1
+    for row in range(core.shape[0]):
+        for column in range(core.shape[1]):
+            if core[row, column]:
+                if found[n] == label:
+                    top, bottom, left, right = min(top, row), row, min(left, column), max(right, column)
+                n += 1
+    first_down, last_down, first_across, last_across = labels.shape[0], -1, labels.shape[1], -1
+    for down in range(labels.shape[0]):
+        for across in range(labels.shape[1]):
+            if labels[down, across] == label:
+                first_down, last_down = min(first_down, down), down
+                first_across, last_across = min(first_across, across), max(last_across, across)
+    extent = max(last_down - first_down, last_across - first_across) + 1
+    return labels, corner_m, label, extent, (top, bottom, left, right)
 
 
 @compiled
@@ -123,14 +217,15 @@ def _join_vessels(
 def _map(
     points: Points,
     axes: Float32[np.ndarray, "axes=2 3"],
-    place: Float32[np.ndarray, " axes=2"],
-    cells_per_m: np.float32,
-) -> tuple[Int32[np.ndarray, "rows columns"], int, int]:
-    """Numbers of the footprints, and where the map's first cell lies from the place; no cells where no point does.
+    place_m: Vector2,
+    cell_m: float,
+) -> tuple[Int32[np.ndarray, "rows columns"], Float32[np.ndarray, " axes=2"]]:
+    """Numbers of the footprints, and where the map's first cell lies; no cells where no point does.
 
     The map is as large as what stands on it and a margin all around.
     """
     reach, margin = np.float32(REACH_CELLS), VESSEL_GAP_CELLS // 2 + 2
+    place, cells_per_m = place_m.astype(np.float32), np.float32(1.0 / cell_m)
     cells = np.empty((2, len(points)), np.int32)
     none, beyond = np.int32(-1), np.int32(2 * REACH_CELLS)
     top, bottom, left, right = beyond, none, beyond, none
@@ -144,23 +239,22 @@ def _map(
         top, bottom = min(top, row if held else beyond), max(bottom, row if held else none)
         left, right = min(left, column if held else beyond), max(right, column if held else none)
     if bottom < 0:
-        return np.zeros((0, 0), np.int32), 0, 0
+        return np.zeros((0, 0), np.int32), place
     occupied = np.zeros((bottom + 1 - top + 2 * margin, right + 1 - left + 2 * margin), np.uint8)
     for point in range(len(points)):
         if cells[0, point] >= 0:
             occupied[cells[0, point] - top + margin, cells[1, point] - left + margin] = 1
     labels, count = regions(grown(occupied, 1), 1)
     _join_vessels(occupied, labels, count)
-    return labels, int(top) - REACH_CELLS - margin, int(left) - REACH_CELLS - margin
-
-
-def nearest_label(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
-    """Label (above 0) that the nearest point has, among the labels with enough points; 0 for none."""
-    return _choose(labels, distance, min_points)
+    corner_m = np.empty(2, np.float32)
+    corner_m[0] = place_m[0] + cell_m * (top - REACH_CELLS - margin)
+    corner_m[1] = place_m[1] + cell_m * (left - REACH_CELLS - margin)
+    return labels, corner_m
 
 
 @compiled
 def _choose(labels: Int32[np.ndarray, " n"], distance: Float32[np.ndarray, " n"], min_points: int) -> int:
+    """Label (above 0) that the nearest point has, among the labels with enough points; 0 for none."""
     highest = 0
     for point in range(len(labels)):
         highest = max(highest, labels[point])

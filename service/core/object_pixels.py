@@ -21,7 +21,7 @@ def standing_in(
     support: Support | None,
     footprints: Footprints,
     label: int,
-) -> tuple[Points, Bool[np.ndarray, "rows columns"]]:
+) -> tuple[Points, Bool[np.ndarray, "rows columns"], Window]:
     """Which readings lie on a surface, rise above the support and stand in one footprint.
 
     Args:
@@ -33,18 +33,19 @@ def standing_in(
         label: Number of the footprint.
 
     Returns:
-        Their points in row-major order, camera frame, metres; the pixels of the window that these are.
+        Their points in row-major order, camera frame, metres; the pixels of the window that these are, and the box in
+        the window around them, empty where there are none.
     """
     (top, bottom, _), (left, right, _) = (side.indices(size) for side, size in zip(window, depth_m.shape, strict=True))
     shown = np.empty((bottom - top, right - left), np.bool_)
     normal, offset_m = np.zeros(3, np.float32), np.float32(np.inf)  # higher than any tolerance
     if support is not None:
         normal, offset_m = support.fitted.normal.astype(np.float32), np.float32(support.fitted.offset_m)
-    points = _choose(
+    points, (first_row, end_row, first_column, end_column) = _choose(
         depth_m, *ray_grid(intrinsics), intrinsics.distortion is None, top, left, normal, offset_m,
         footprints.axes, footprints.corner_m, np.float32(1.0 / footprints.cell_m), footprints.labels, label, shown,
     )  # fmt: skip
-    return points, shown
+    return points, shown, (slice(first_row, end_row), slice(first_column, end_column))
 
 
 @compiled
@@ -53,7 +54,7 @@ def _choose(
     normal: Float32[np.ndarray, "3"], offset_m: np.float32,
     axes: Float32[np.ndarray, "axes=2 3"], corner_m: Float32[np.ndarray, " axes=2"], cells_per_m: np.float32,
     labels: Int32[np.ndarray, "down across"], label: int, shown: Bool[np.ndarray, "rows columns"],
-) -> Points:  # fmt: skip
+) -> tuple[Points, tuple[int, int, int, int]]:  # fmt: skip
     """A row of pixels at a time: first the cell of each, eight at once, then what stands there.
 
     Of `upright` rays only the first row's x/z and the first column's y/z are read.
@@ -97,6 +98,7 @@ def _choose(
             shown[row, column] = stands
             count += stands
     points, n = np.empty((count, 3), np.float32), 0
+    first_row, end_row, first_column, end_column = rows, 0, columns, 0
     for row in range(rows):
         for column in range(columns):
             if shown[row, column]:
@@ -105,4 +107,6 @@ def _choose(
                 points[n, 1] = whole_y[top + row, 0 if upright else left + column] * z
                 points[n, 2] = z
                 n += 1
-    return points
+                first_row, end_row = min(first_row, row), row + 1
+                first_column, end_column = min(first_column, column), max(end_column, column + 1)
+    return points, (first_row, end_row, first_column, end_column)

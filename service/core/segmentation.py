@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float32
+from jaxtyping import Bool
 
 from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics, pixel_to_point, ray_grid
@@ -22,10 +22,9 @@ from service.core.depth_view import (
     on_surface,
     view_depth,
     window_around,
-    window_of,
 )
 from service.core.errors import EmptyObject, InvalidRequest, NoSupportPlane
-from service.core.footprints import Footprints, find_footprints, nearest_label
+from service.core.footprints import Footprints, nearest_footprint
 from service.core.object_pixels import standing_in
 from service.core.strays import without_background
 from service.core.support_plane import SupportPlane
@@ -152,7 +151,7 @@ def _segment_masked(
     known_up = support.fitted.normal if support is not None else up
     kept = without_background(points, IMAGE_UP if known_up is None else known_up)
     shown = narrowed(shown, kept)
-    return _finish(view.points(shown), shown, view.first_pixel, intrinsics, support, up)
+    return _finish(view.points(shown), shown, window_around(shown), view.first_pixel, intrinsics, support, up)
 
 
 def _segment_cluster(
@@ -162,7 +161,7 @@ def _segment_cluster(
     readable = np.isfinite(scene.z_m)
     _require_points(readable, "The depth image has too few readings.", "depth")
     points = scene.points(readable)
-    place_m = points[np.argmin(_distance_to_middle(scene, readable, window, intrinsics))].astype(np.float64)
+    place_m = points[np.argmin(scene.distances_px(readable, *_middle(window, intrinsics)))].astype(np.float64)
     if contact_m is not None:
         reach_m = CONTACT_REACH * max(float(place_m[2]), 0.1)
         if distances_m(points, contact_m).min() > reach_m:
@@ -189,8 +188,8 @@ def _segment_cluster(
     if found is None:
         raise EmptyObject("No object is seen there; send a mask, or a contact on it.", field="depth")
     footprints, label, seen = found
-    points, shown = standing_in(depth_m, intrinsics, seen, support, footprints, label)
-    return _finish(points, shown, (seen[0].start, seen[1].start), intrinsics, support, up)
+    points, shown, around = standing_in(depth_m, intrinsics, seen, support, footprints, label)
+    return _finish(points, shown, around, (seen[0].start, seen[1].start), intrinsics, support, up)
 
 
 def _find_object(
@@ -215,24 +214,20 @@ def _find_object(
     view = view_depth(depth_m, intrinsics, standing, stride)
     clearance = None if support is None else support.clearance(view)
     surface = on_surface(view.z_m)
+    middle = _middle(window, intrinsics)
     found: tuple[Footprints, int, Window] | None = None
     for tolerances in CORE_TOLERANCES:
         core = surface if clearance is None else surface & (clearance > tolerances)
-        points = view.points(core)
-        footprints = find_footprints(points, level, place_m)
-        if footprints is None:
+        nearest = nearest_footprint(
+            view, core, level, place_m, middle if contact_m is None else contact_m,
+            max(MIN_OBJECT_POINTS // stride**2, 3),
+        )  # fmt: skip
+        if nearest is None:
             continue
-        labels = footprints.label_of(points)
-        distance = (
-            _distance_to_middle(view, core, window, intrinsics) if contact_m is None else distances_m(points, contact_m)
-        )
-        label = nearest_label(labels, distance, max(MIN_OBJECT_POINTS // stride**2, 3))
-        if label == 0:
-            continue
-        wide = footprints.extent_m(label) > MAX_EXTENT_M
+        wide = nearest.extent_m > MAX_EXTENT_M
         if found is None or not wide:
-            seen = window_of(core, labels, label)
-            found = footprints, label, _enlarge(seen, view, 2 * stride + 2, window, depth_m.shape)
+            seen = _enlarge(nearest.box, view, 2 * stride + 2, window, depth_m.shape)
+            found = nearest.footprints, nearest.label, seen
         if not wide:
             break
     return found
@@ -241,14 +236,15 @@ def _find_object(
 def _finish(
     points: Points,
     shown: Bool[np.ndarray, "rows columns"],
+    around: Window,
     first_pixel: tuple[int, int],
     intrinsics: Intrinsics,
     support: Support | None,
     up: Vector3 | None,
 ) -> Segment:
-    """The object that points of a part of the image at full resolution show."""
+    """The object that points of a part of the image at full resolution show, in a box of that part."""
     _require_count(len(points), "Too few points are left of the object.", "depth")
-    around, image_shape = window_around(shown), (intrinsics.height, intrinsics.width)
+    image_shape = intrinsics.height, intrinsics.width
     rows, columns = (
         slice(first + side.start, first + side.stop) for side, first in zip(around, first_pixel, strict=True)
     )
@@ -264,12 +260,10 @@ def _finish(
     return Segment(points, (rows, columns), shown[around], image_shape, plane, up, frozenset(flags))
 
 
-def _distance_to_middle(
-    view: DepthView, where: Bool[np.ndarray, "rows columns"], window: Window, intrinsics: Intrinsics
-) -> Float32[np.ndarray, " n"]:
-    """Distance in pixels of the chosen readings from the middle of the window."""
+def _middle(window: Window, intrinsics: Intrinsics) -> tuple[float, float]:
+    """Row and column of the middle of a window."""
     rows, columns = window[0].indices(intrinsics.height), window[1].indices(intrinsics.width)
-    return view.distances_px(where, (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2)
+    return (rows[0] + rows[1] - 1) / 2, (columns[0] + columns[1] - 1) / 2
 
 
 def _enlarge(box: Window, view: DepthView, margin_px: int, within: Window, shape: tuple[int, ...]) -> Window:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from service.core.camera import back_project, ray_grid
-from service.core.depth_view import JUMP_M, JUMP_PER_DEPTH, narrowed, on_surface, view_depth, window_around, window_of
+from service.core.depth_view import JUMP_M, JUMP_PER_DEPTH, narrowed, on_surface, view_depth, window_around
 from tests.synthetic_scenes import CAMERA, Box, render
 
 SCENE = render([Box((-0.05, -0.05, 0.0), (0.05, 0.05, 0.1))])
@@ -96,9 +96,3 @@ def test_thin_rod_is_a_surface() -> None:
     z_m = np.full((20, 20), 0.9, np.float32)
     z_m[:, 7] = 0.6
     assert on_surface(z_m).all()
-
-
-def test_the_window_of_a_label_is_the_box_around_its_pixels_alone() -> None:
-    where = np.zeros((9, 12), np.bool_)
-    where[1, 2] = where[3, 7] = where[4, 5] = where[8, 11] = True
-    assert window_of(where, np.array([1, 2, 2, 1], np.int32), 2) == (slice(3, 5), slice(5, 8))

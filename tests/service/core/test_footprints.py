@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from service.core.footprints import Footprints, find_footprints, nearest_label
+from service.core.depth_view import view_depth
+from service.core.footprints import Footprints, NearestFootprint, find_footprints, nearest_footprint
+from tests.synthetic_scenes import CAMERA, Box, render
 
 UP = np.array([0.0, -1.0, 0.0])
 PLACE = np.array([0.0, 0.0, 0.6])
@@ -67,20 +69,56 @@ def test_points_outside_the_map_have_no_footprint() -> None:
     np.testing.assert_array_equal(footprints.label_of(far), [0, 0, 0])
 
 
-def test_extent_is_the_longer_side() -> None:
-    points = block(-0.1, 0.1, 0.58, 0.62)
-    footprints = find(points)
-    # Closing gaps widens a footprint by a cell on each side.
-    assert abs(footprints.extent_m(int(footprints.label_of(points)[0])) - 0.2) < 3 * footprints.cell_m
-
-
 def test_points_out_of_reach_leave_no_map() -> None:
     assert find_footprints(np.array([[9, 0, 9]], np.float32), UP, PLACE) is None
 
 
-def test_the_nearest_label_has_enough_points_and_is_none_where_none_has() -> None:
-    labels = np.array([0, 3, 1, 1, 2, 2, 2], np.int32)
-    distance = np.array([0.1, 0.2, 0.5, 0.4, 0.9, 0.3, 0.3], np.float32)
-    assert nearest_label(labels, distance, 1) == 3
-    assert nearest_label(labels, distance, 2) == 2
-    assert nearest_label(labels, distance, 4) == 0
+LEFT, RIGHT = Box((-0.12, -0.05, 0.0), (-0.04, 0.05, 0.1)), Box((0.04, -0.03, 0.0), (0.08, 0.03, 0.1))
+
+
+def nearest(nearest_to: np.ndarray | tuple[float, float], min_points: int = 1) -> tuple[int, NearestFootprint | None]:
+    """Of two boxes; the first value tells which one it is by its pixels, -1 for none."""
+    scene = render([LEFT, RIGHT])
+    window = slice(60, 420), slice(80, 560)
+    view = view_depth(scene.depth_m, CAMERA, window, 2)
+    shown = scene.shown[60:420:2, 80:560:2]
+    place_m = view.points(shown >= 0)[0].astype(np.float64)
+    found = nearest_footprint(view, shown >= 0, scene.up, place_m, nearest_to, min_points)
+    if found is None:
+        return -1, None
+    (which,) = set(shown[found.box].ravel().tolist()) - {-1}
+    rows, columns = np.nonzero(shown == which)
+    assert found.box == (slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1))
+    return which, found
+
+
+def test_the_nearest_footprint_is_that_of_the_reading_nearest_to_a_point() -> None:
+    scene = render([LEFT, RIGHT])
+    view = view_depth(scene.depth_m, CAMERA)
+    for box in (0, 1):
+        middle = view.points(scene.shown == box).mean(axis=0).astype(np.float64)
+        which, found = nearest(middle)
+        assert which == box
+        assert found is not None
+        # Closing gaps widens a footprint by a cell on each side, and some of a side is hidden.
+        side = (LEFT, RIGHT)[box].high[1] - (LEFT, RIGHT)[box].low[1]
+        assert abs(found.extent_m - side) < 4 * found.footprints.cell_m
+        assert (found.footprints.label_of(view.points(scene.shown == box)) == found.label).mean() > 0.99
+
+
+def test_the_nearest_footprint_is_that_of_the_reading_nearest_to_a_pixel() -> None:
+    scene = render([LEFT, RIGHT])
+    for box in (0, 1):
+        rows, columns = np.nonzero(scene.shown == box)
+        assert nearest((float(rows.mean()), float(columns.mean())))[0] == box
+
+
+def test_the_nearest_footprint_has_enough_readings_and_is_none_where_none_has() -> None:
+    scene = render([LEFT, RIGHT])
+    count = [int((scene.shown[60:420:2, 80:560:2] == box).sum()) for box in (0, 1)]
+    rows, columns = np.nonzero(scene.shown == 1)
+    beside = float(rows.mean()), float(columns.mean())
+    assert count[1] < count[0]
+    assert nearest(beside, count[1])[0] == 1
+    assert nearest(beside, count[1] + 1)[0] == 0
+    assert nearest(beside, count[0] + 1) == (-1, None)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from service.core.depth_view import on_surface, view_depth
+from service.core.depth_view import on_surface, view_depth, window_around
 from service.core.footprints import find_footprints
 from service.core.object_pixels import standing_in
 from service.core.support_plane import SupportPlane
@@ -47,9 +47,10 @@ def test_pixels_are_those_of_its_parts(
     expected = labels == label
     assert 30 < expected.sum() < np.isfinite(view.z_m).sum()
 
-    found, shown = standing_in(depth_m, camera, window, support, footprints, label)
+    found, shown, around = standing_in(depth_m, camera, window, support, footprints, label)
     np.testing.assert_array_equal(shown, expected)
     np.testing.assert_array_equal(found, view.points(expected))
+    assert around == window_around(expected)
 
 
 def test_nothing_stands_in_an_empty_window() -> None:
@@ -57,6 +58,7 @@ def test_nothing_stands_in_an_empty_window() -> None:
     points = view_depth(scene.depth_m, CAMERA).points(scene.shown >= 0)
     footprints = find_footprints(points, scene.up, points[0].astype(np.float64))
     assert footprints is not None
-    found, shown = standing_in(scene.depth_m, CAMERA, (slice(5, 5), slice(0, 100)), None, footprints, 1)
+    found, shown, around = standing_in(scene.depth_m, CAMERA, (slice(5, 5), slice(0, 100)), None, footprints, 1)
     assert found.shape == (0, 3)
     assert shown.shape == (0, 100)
+    assert shown[around].size == 0
