@@ -62,7 +62,8 @@ class Body:
         probability: Occupancy probability.
         occupancy: The body.
         flags: What the robot should know about it.
-        crop: The depth image around it, in which later contacts are looked up; None for a known shape.
+        crop: The depth image around it, in which later contacts are looked up, once it is asked for; None for a known
+            shape.
         inside: What the deformed body is looked up in, where that tells more than the voxels of `occupancy`: the
             probability of a reconstruction, whose doubt so goes on into the answer, or the smoothed occupancy of a
             known shape that is not answered in its own grid.
@@ -73,7 +74,7 @@ class Body:
     probability: Probability
     occupancy: Occupancy
     flags: frozenset[str]
-    crop: DepthCrop | None = None
+    crop: Once[DepthCrop] | None = None
     inside: Inside | None = None
 
     @cached_property
@@ -84,7 +85,7 @@ class Body:
     @property
     def nbytes(self) -> int:
         """Memory of its arrays."""
-        depth_m = None if self.crop is None else self.crop.depth_m
+        depth_m = None if self.crop is None else self.crop().depth_m
         inside = None if self.inside is None or self.inside.values is self.probability else self.inside.values
         arrays = (self.observed, self.probability, self.occupancy, self.surface_m, depth_m, inside)
         return sum(array.nbytes for array in arrays if array is not None)
@@ -199,7 +200,7 @@ class Pipeline:
             found = segment(
                 depth_m, camera, mask, source.up, contact_m=contacts[0] if contacts else None, roi=source.roi
             )
-            crop = crop_around(found.box, depth_m, camera)
+            crop = Once(lambda: crop_around(found.box, depth_m, camera))
         with watch.stage("voxelize"):
             up = IMAGE_UP if found.up is None else found.up
             offset_m = found.support.offset_m if found.support else -float((found.points @ up.astype(np.float32)).min())
@@ -238,7 +239,8 @@ class Pipeline:
         with watch.stage("deform"):
             asked = Once(lambda: self._questions(body, contacts, request))
             if any(load.force_n.any() for load in request.loads):
-                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside, asked)
+                meanwhile = (asked,) if body.crop is None else (asked, body.crop)
+                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside, meanwhile)
             questions = asked()
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[LoadResult] = iter(())
@@ -304,7 +306,7 @@ def _contacts_again(body: Body, loads: tuple[Load, ...]) -> list[Vector3]:
     contacts = []
     for i, load in enumerate(loads):
         if load.contact_px is not None and body.crop is not None:
-            contacts.append(body.crop.point(*load.contact_px, f"loads[{i}].contact_px"))
+            contacts.append(body.crop().point(*load.contact_px, f"loads[{i}].contact_px"))
         else:
             contacts.append(_contact_in_metres(load, f"loads[{i}].contact_px"))
     return contacts

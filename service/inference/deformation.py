@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -74,7 +74,7 @@ class DeformationModel:
         self._bodies = Bodies(self._encode)
 
     def prepare(
-        self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None, asked: Once[Any] | None = None
+        self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None, meanwhile: Iterable[Once[Any]] = ()
     ) -> None:
         """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides.
 
@@ -82,13 +82,12 @@ class DeformationModel:
             rest: The body.
             poisson_ratio: ν of its material.
             inside: See `service.core.lookup.Warp`.
-            asked: What its caller needs besides.
+            meanwhile: What its caller needs besides.
         """
         body = self._bodies.find(rest, inside)
         # The network first, one long call: many short ones in both threads would wait for the interpreter in turns.
-        for once in (body.features, asked, body.warp):
-            if once is not None:
-                self.spare.offer(once)
+        for once in (body.features, *meanwhile, body.warp):
+            self.spare.offer(once)
         body.solver(poisson_ratio)()
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition], inside: Inside | None = None) -> Prior:

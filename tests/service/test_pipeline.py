@@ -338,7 +338,8 @@ def test_what_is_kept_is_counted_whole(models: Models, scene: TableScene) -> Non
     kept = Reconstructions[Body](16 * 2**20, 60.0)
     answered = Pipeline(models.reconstruction, models.deformation, kept=kept).predict(request(scene))
     body = kept.find(again_of(answered).reconstruction_id)
-    held = [*vars(body).values(), *vars(body.crop).values()]
+    assert body.crop is not None
+    held = [*vars(body).values(), *vars(body.crop()).values()]
     arrays = list({id(value): value for value in held if isinstance(value, np.ndarray)}.values())
     assert len(arrays) >= 5
     assert not [array for array in arrays if array.base is not None and array.base.nbytes > array.nbytes]
