@@ -221,7 +221,7 @@ RECONSTRUCTION_PRESETS: dict[str, FitReconstructionConfig] = {
     ),
     "realtime-augmented": FitReconstructionConfig(augmentation=ViewAugmentation()),
     "realtime-deep": FitReconstructionConfig(
-        network=ReconstructionConfig(blocks=(1, 4, 4, 3)), augmentation=ViewAugmentation(), bfloat16=True
+        network=ReconstructionConfig(blocks=(1, 4, 4, 3), silent=True), augmentation=ViewAugmentation(), bfloat16=True
     ),
 }  # fmt: skip
 

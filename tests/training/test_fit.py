@@ -58,6 +58,7 @@ CONFIGS: dict[str, FitDeformationConfig | FitReconstructionConfig] = {
     "the paper's deformation": replace(SHORT, network=tiny.PHYSNET, adversary=tiny.adversary(REAL)),
     "reconstruction": tiny.FIT_RECONSTRUCTION,
     "reconstruction of changed views": replace(SHORT_VIEWS, augmentation=ViewAugmentation()),
+    "reconstruction in bfloat16": replace(SHORT_VIEWS, bfloat16=True),
     "3D-RecGAN": replace(SHORT_VIEWS, network=tiny.RECGAN, adversary=tiny.adversary(None, given_channels=2)),
 }
 

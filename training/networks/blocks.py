@@ -53,16 +53,19 @@ class Stem(nn.Module):
 
 
 class ResidualPlaneBlock(nn.Module):
-    """One 3² convolution around which the signal also passes unchanged, and at first does so alone.
+    """One 3² convolution around which the signal also passes unchanged.
 
-    A trained network that is given more of them so begins with what it knew. Source: Goyal et al., "Accurate, Large
-    Minibatch SGD: Training ImageNet in 1 Hour", 2017, section 5.1.
+    Args:
+        channels: Of the signal.
+        silent: At first the signal passes alone: a trained network that is given more blocks begins with what it knew.
+            Source: Goyal et al., "Accurate, Large Minibatch SGD: Training ImageNet in 1 Hour", 2017, section 5.1.
     """
 
-    def __init__(self, channels: int) -> None:
+    def __init__(self, channels: int, silent: bool = False) -> None:
         super().__init__()
         self.block = PlaneBlock(channels, channels, 3)
-        nn.init.zeros_(self.block.norm.weight)
+        if silent:
+            nn.init.zeros_(self.block.norm.weight)
 
     def forward(self, x: Tensor) -> Tensor:
         y: Tensor = x + self.block(x)

@@ -30,11 +30,13 @@ class ReconstructionConfig:
         channels: On the way down and up.
         blocks: Residual blocks on the way down; up there is one at each size.
         detail: Features of every single column, through which the view reaches the answer at full resolution.
+        silent: Whether residual blocks say nothing at first, see `ResidualPlaneBlock`.
     """
 
     channels: tuple[int, int, int, int] = (48, 128, 192, 224)
     blocks: tuple[int, int, int, int] = (1, 2, 2, 2)
     detail: int = 32
+    silent: bool = False
 
 
 class Finer(nn.Module):
@@ -75,14 +77,14 @@ class ReconstructionNetwork(nn.Module):
         self.down = nn.ModuleList(
             nn.Sequential(
                 Stem(coming, going, 2) if level == 0 else PlaneBlock(coming, going, 2, 2),
-                *[ResidualPlaneBlock(going) for _ in range(blocks)],
+                *[ResidualPlaneBlock(going, config.silent) for _ in range(blocks)],
             )
             for level, (coming, going, blocks) in enumerate(zip(inputs, config.channels, config.blocks, strict=False))
         )
         pairs = list(zip(config.channels[1:], config.channels, strict=False))[::-1]
         self.up = nn.ModuleList(Finer(coarse, fine) for coarse, fine in pairs)
         self.merge = nn.ModuleList(
-            nn.Sequential(PlaneBlock(2 * fine, fine, 1), ResidualPlaneBlock(fine)) for _, fine in pairs
+            nn.Sequential(PlaneBlock(2 * fine, fine, 1), ResidualPlaneBlock(fine, config.silent)) for _, fine in pairs
         )
         self.head = nn.Sequential(nn.Conv2d(config.channels[0], 4 * SIZE, 1))
         self.seen = nn.Linear(2 * SIZE, config.detail)

@@ -64,6 +64,18 @@ def test_weights_are_taken_where_they_fit(tmp_path: Path) -> None:
     assert 0 < len(taken) < len(own)
 
 
+def test_a_deeper_network_begins_with_what_the_shallower_one_knew(tmp_path: Path) -> None:
+    known = tiny.reconstruction_network()
+    checkpoint = tiny.save_checkpoint(known, tiny.FIT_RECONSTRUCTION, tmp_path / "first")
+    blocks = tuple(count + 2 for count in tiny.RECONSTRUCTION.blocks)
+    deeper = ReconstructionNetwork(dataclasses.replace(tiny.RECONSTRUCTION, blocks=blocks, silent=True))
+    take_weights(deeper, checkpoint)
+    assert len(deeper.state_dict()) > len(known.state_dict())
+    view = torch.rand(1, 2, 64, 64, 64, generator=torch.Generator().manual_seed(1)).round()
+    with torch.no_grad():
+        torch.testing.assert_close(deeper.eval()(view), known.eval()(view))
+
+
 def test_weights_of_another_kind_are_refused(tmp_path: Path) -> None:
     checkpoint = tiny.save_checkpoint(tiny.deformation_network(), tiny.FIT_DEFORMATION, tmp_path)
     with pytest.raises(ValueError, match=r"no weight of .*checkpoint\.pt fits this network"):
