@@ -9,8 +9,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[3]
 STAGES = {
-    "parse", "decode", "segment", "voxelize", "reconstruct: network", "reconstruct: around it", "align", "deform: prior",
-    "deform: network", "deform: around it", "encode gRPC", "encode JSON",
+    "parse", "decode", "segment", "voxelize", "reconstruct: network", "reconstruct: around it", "align",
+    "deform: prior", "deform: network", "deform: around it", "encode gRPC", "encode JSON",
 }  # fmt: skip
 
 
