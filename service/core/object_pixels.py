@@ -10,7 +10,7 @@ from service.core.camera import Intrinsics, ray_grid
 from service.core.compiled import compiled
 from service.core.depth_view import Rays, Window, is_on_surface
 from service.core.footprints import Footprints
-from service.core.support_plane import plane_tolerance_m
+from service.core.plane_fit import plane_tolerance_m
 from service.core.surroundings import Support
 
 
@@ -65,12 +65,12 @@ def _choose(
     ray_x, ray_y = np.empty(columns, np.float32), np.empty(columns, np.float32)
     # the row before, this one and the one after, with a hole on each side
     around = np.full((3, columns + 2), np.float32(np.nan), np.float32)
-    for column in range(columns):
+    for column in range(columns if rows > 0 else 0):
         around[2, column + 1] = depth_m[top, np.uintp(left + column)]
         ray_x[column] = whole_x[0, np.uintp(left + column)]
     count = 0
     for row in range(rows):
-        # before the first row lie holes
+        # the row after is written over the one two before; before the first lie holes
         above, here, below = around[(row + 1) % 3], around[(row + 2) % 3], around[row % 3]
         for column in range(columns):
             below[column + 1] = (

@@ -14,8 +14,9 @@ from functools import cache
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
 
-from service.core.arrays import Matrix3, Points, Vector3
+from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
+from service.core.plane_fit import average_inliers, plane_tolerance_m, settle
 
 HYPOTHESES = 160
 """With 40 % of the drawn points on the plane one in 16 triples is clean, so all 160 miss once in 30,000 frames."""
@@ -34,13 +35,6 @@ MIN_SHARE = 0.1
 """Share of the local weight that must lie on the plane; on real frames of objects on tables it is 0.5 and more."""
 
 
-_ITERATIONS = 8
-"""Leave 25⁻⁸ of what the normal was off."""
-
-_THINNEST = 1e-12
-"""Variance that any plane has, as a share of that along it."""
-
-
 @dataclass(frozen=True)
 class SupportPlane:
     """Points p with normal · p + offset_m = 0.
@@ -56,17 +50,6 @@ class SupportPlane:
     def heights_m(self, points: Points) -> Float32[np.ndarray, " n"]:
         """Signed heights above the plane, metres."""
         return points @ self.normal.astype(np.float32) + np.float32(self.offset_m)
-
-
-@compiled
-def plane_tolerance_m(z_m: np.float32) -> np.float32:
-    """How far a point of the support may lie off its plane: 3 mm, or 0.6 % of its depth where that is more.
-
-    Structured light and stereo sensors err by 0.1–0.4 % of the depth at the ranges at which objects are handled, and
-    tables are uneven by a millimetre or two.
-    """
-    shallow, deep = np.float32(0.003), np.float32(0.006) * z_m
-    return shallow if shallow > deep else deep
 
 
 def find_support_plane(
@@ -168,8 +151,8 @@ def level_plane(plane: SupportPlane, up: Vector3, points: Points, weights: Float
     """
     if _angle_rad(plane.normal, up) > AGREEMENT_RAD:
         return plane
-    centre = np.zeros(3)
-    _average(points, weights, plane.normal.astype(np.float32), np.float32(plane.offset_m), centre, np.zeros((3, 3)))
+    normal, centre = plane.normal.astype(np.float32), np.zeros(3)
+    average_inliers(points, weights, normal, np.float32(plane.offset_m), centre, np.zeros((3, 3)))
     return SupportPlane(up, -float(centre @ up))
 
 
@@ -241,39 +224,6 @@ def _draws() -> tuple[Float64[np.ndarray, " draws"], Int64[np.ndarray, " draws"]
     return draws, places
 
 
-@compiled
-def _average(
-    points: Points,
-    weights: Float32[np.ndarray, " n"],
-    normal: Float32[np.ndarray, "3"],
-    offset_m: np.float32,
-    centre: Vector3,
-    covariance: Matrix3,
-) -> int:
-    """Weighted centre and covariance of the points on a plane, how many there are; zeros stay where there are none."""
-    count, total = 0, 0.0
-    x_sum = y_sum = z_sum = xx = xy = xz = yy = yz = zz = 0.0  # variables, since sums in arrays wait for the memory
-    for point in range(len(points)):
-        x, y, z = np.float64(points[point, 0]), np.float64(points[point, 1]), np.float64(points[point, 2])
-        height_m = normal[0] * points[point, 0] + normal[1] * points[point, 1] + normal[2] * points[point, 2] + offset_m
-        if abs(height_m) < plane_tolerance_m(points[point, 2]):
-            count += 1
-            weight = np.float64(weights[point])
-            total += weight
-            x_sum, y_sum, z_sum = x_sum + weight * x, y_sum + weight * y, z_sum + weight * z
-            xx, xy, xz = xx + weight * x * x, xy + weight * x * y, xz + weight * x * z
-            yy, yz, zz = yy + weight * y * y, yz + weight * y * z, zz + weight * z * z
-    if count > 0:
-        mean_x, mean_y, mean_z = x_sum / total, y_sum / total, z_sum / total
-        centre[0], centre[1], centre[2] = mean_x, mean_y, mean_z
-        covariance[0, 0], covariance[1, 1] = xx / total - mean_x * mean_x, yy / total - mean_y * mean_y
-        covariance[2, 2] = zz / total - mean_z * mean_z
-        covariance[0, 1] = covariance[1, 0] = xy / total - mean_x * mean_y
-        covariance[0, 2] = covariance[2, 0] = xz / total - mean_x * mean_z
-        covariance[1, 2] = covariance[2, 1] = yz / total - mean_y * mean_z
-    return count
-
-
 def _refine(
     points: Points,
     weights: Float32[np.ndarray, " n"],
@@ -281,7 +231,7 @@ def _refine(
     up: Vector3 | None,
 ) -> SupportPlane | None:
     normal, centre = plane[:3].copy(), np.zeros(3)
-    count, is_strip = _settle(points, weights, normal, plane[3], centre)
+    count, is_strip = settle(points, weights, normal, plane[3], centre, MIN_INLIERS)
     if count < MIN_INLIERS:
         return None
     if is_strip:
@@ -289,57 +239,6 @@ def _refine(
     if up is not None and _angle_rad(normal, up) > MAX_TILT_RAD:
         return None
     return SupportPlane(normal, -float(normal @ centre))
-
-
-@compiled
-def _settle(
-    points: Points, weights: Float32[np.ndarray, " n"], normal: Vector3, offset_m: float, centre: Vector3
-) -> tuple[int, bool]:
-    """Turn a plane to its inliers three times.
-
-    Returns:
-        How many there are at last; whether they are a strip, which fixes a line, not a plane.
-    """
-    covariance, count = np.zeros((3, 3)), 0
-    for _ in range(3):
-        count = _average(points, weights, normal.astype(np.float32), np.float32(offset_m), centre, covariance)
-        if count < MIN_INLIERS:
-            break
-        if not _turn_to_least(covariance, normal):
-            return count, True
-        offset_m = -(normal[0] * centre[0] + normal[1] * centre[1] + normal[2] * centre[2])
-    return count, False
-
-
-@compiled
-def _turn_to_least(covariance: Matrix3, normal: Vector3) -> bool:
-    """Turn a unit vector to the axis of the least variance, on its own side; whether the points are no strip.
-
-    A strip is less than five times as wide as thick. Of what is wider, the inverse shrinks every other part of the
-    vector by 25 at least.
-
-    Source: inverse iteration; Golub and Van Loan, "Matrix Computations", 8.2.2.
-    """
-    # Planes without any thickness have no inverse.
-    trace = covariance[0, 0] + covariance[1, 1] + covariance[2, 2]
-    a, b, c = covariance[0, 0] + _THINNEST * trace, covariance[0, 1], covariance[0, 2]
-    d, e, f = covariance[1, 1] + _THINNEST * trace, covariance[1, 2], covariance[2, 2] + _THINNEST * trace
-    aa, bb, cc, dd, ee, ff = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
-    before_x, before_y, before_z = normal[0], normal[1], normal[2]
-    x, y, z = before_x, before_y, before_z
-    for _ in range(_ITERATIONS):
-        x, y, z = aa * x + bb * y + cc * z, bb * x + dd * y + ee * z, cc * x + ee * y + ff * z
-        length = math.sqrt(x * x + y * y + z * z)
-        if not length > 0.0:
-            return False  # a line, or a point
-        x, y, z = x / length, y / length, z / length
-    side = -1.0 if x * before_x + y * before_y + z * before_z < 0.0 else 1.0
-    normal[0], normal[1], normal[2] = side * x, side * y, side * z
-    # Of the other two variances sum and product are known.
-    least = x * (a * x + b * y + c * z) + y * (b * x + d * y + e * z) + z * (c * x + e * y + f * z)
-    half, product = 0.5 * (a + d + f - least), aa + dd + ff - least * (a + d + f - least)
-    middle = half - math.sqrt(max(half * half - product, 0.0))
-    return bool(middle >= 25.0 * least)
 
 
 def _angle_rad(a: Vector3, b: Vector3) -> float:

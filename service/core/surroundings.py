@@ -13,7 +13,8 @@ from service.core.arrays import DepthImage, Mask, Points, Vector3
 from service.core.camera import Intrinsics
 from service.core.compiled import compiled
 from service.core.depth_view import WHOLE_IMAGE, DepthView, Rays, Window, view_depth, view_rays, window_around
-from service.core.support_plane import SupportPlane, find_support_plane, level_plane, plane_tolerance_m
+from service.core.plane_fit import plane_tolerance_m
+from service.core.support_plane import SupportPlane, find_support_plane, level_plane
 
 PLANE_SAMPLES = 3000
 """Pixels that the support plane is fitted to."""
