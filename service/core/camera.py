@@ -304,13 +304,13 @@ def pixel_to_point(
 
 
 def _depth_near(column: int, row: int, depth_m: DepthImage, mask: Mask | None) -> float | None:
-    if mask is None and 0 <= row < depth_m.shape[0] and 0 <= column < depth_m.shape[1]:
+    if 0 <= row < depth_m.shape[0] and 0 <= column < depth_m.shape[1] and (mask is None or mask[row, column]):
         if math.isfinite(z_m := float(depth_m[row, column])):
             return z_m
-    for radius in (0, *PIXEL_WINDOW_RADII):
+    for radius in PIXEL_WINDOW_RADII:
         window = (slice(max(row - radius, 0), row + radius + 1), slice(max(column - radius, 0), column + radius + 1))
         readings = depth_m[window] if mask is None else depth_m[window][mask[window]]
         readings = readings[np.isfinite(readings)]
-        if len(readings) >= (1 if radius == 0 else 3):
-            return float(readings[0] if len(readings) == 1 else np.median(readings))
+        if len(readings) >= 3:
+            return float(np.median(readings))
     return None

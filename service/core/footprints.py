@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, UInt8
 
 from service.core.arrays import Points, Vector3
 from service.core.compiled import compiled
-from service.core.depth_view import DepthView, Rays, Window
+from service.core.depth_view import Box, DepthView, Rays, Window, box_of
 from service.core.grids import crossed
 from service.core.regions import grown, regions
 
-Vector2 = Float64[np.ndarray, " axes=2"]
-Box = tuple[int, int, int, int]
+Vector2: TypeAlias = Float64[np.ndarray, " axes=2"]
 
 CELL_M = 0.004
 """Edge of a cell of the map, metres."""
@@ -121,7 +121,7 @@ def nearest_footprint(
     )
     if label == 0:
         return None
-    window = slice(box[0], box[1] + 1), slice(box[2], box[3] + 1)
+    window = slice(*box[:2]), slice(*box[2:])
     return NearestFootprint(Footprints(axes, corner_m, cell_m, labels), label, cell_m * extent, window)
 
 
@@ -136,8 +136,8 @@ def _nearest(
     z_m: Rays, ray_x: Rays, ray_y: Rays, core: Bool[np.ndarray, "rows columns"], axes: Float32[np.ndarray, "axes=2 3"],
     place: Vector2, cell_m: float, goal: Float32[np.ndarray, "3"], by_pixel: bool, min_points: int,
 ) -> tuple[Int32[np.ndarray, "down across"], Float32[np.ndarray, " 2"], int, int, Box]:  # fmt: skip
-    """The map and its corner, see `_map`; number of the nearest footprint, its longer side in cells; first and last
-    row and column of the readings in it.
+    """The map and its corner, see `_map`; number of the nearest footprint, its longer side in cells; the box of the
+    readings in it.
     """
     count = 0
     for row in range(core.shape[0]):
@@ -160,22 +160,16 @@ def _nearest(
         _look_up(points, axes, corner_m, np.float32(1.0 / cell_m), labels, found)
     label = _choose(found, distance, min_points) if labels.size > 0 else 0
     if label == 0:
-        return labels, corner_m, 0, 0, (0, -1, 0, -1)
-    n, top, bottom, left, right = 0, core.shape[0], -1, core.shape[1], -1
+        return labels, corner_m, 0, 0, (0, 0, 0, 0)
+    standing, n = np.zeros(core.shape, np.int32), 0
     for row in range(core.shape[0]):
         for column in range(core.shape[1]):
             if core[row, column]:
-                if found[n] == label:
-                    top, bottom, left, right = min(top, row), row, min(left, column), max(right, column)
+                standing[row, column] = found[n]
                 n += 1
-    first_down, last_down, first_across, last_across = labels.shape[0], -1, labels.shape[1], -1
-    for down in range(labels.shape[0]):
-        for across in range(labels.shape[1]):
-            if labels[down, across] == label:
-                first_down, last_down = min(first_down, down), down
-                first_across, last_across = min(first_across, across), max(last_across, across)
-    extent = max(last_down - first_down, last_across - first_across) + 1
-    return labels, corner_m, label, extent, (top, bottom, left, right)
+    first_down, end_down, first_across, end_across = box_of(labels, label)
+    extent = max(end_down - first_down, end_across - first_across)
+    return labels, corner_m, label, extent, box_of(standing, label)
 
 
 @compiled

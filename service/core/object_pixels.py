@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float32, Int32
 from service.core.arrays import DepthImage, Points
 from service.core.camera import Intrinsics, ray_grid
 from service.core.compiled import compiled
-from service.core.depth_view import Rays, Window, is_on_surface
+from service.core.depth_view import Box, Rays, Window, box_of, is_on_surface
 from service.core.footprints import Footprints
 from service.core.plane_fit import plane_tolerance_m
 from service.core.surroundings import Support
@@ -41,11 +41,11 @@ def standing_in(
     normal, offset_m = np.zeros(3, np.float32), np.float32(np.inf)  # higher than any tolerance
     if support is not None:
         normal, offset_m = support.fitted.normal.astype(np.float32), np.float32(support.fitted.offset_m)
-    points, (first_row, end_row, first_column, end_column) = _choose(
+    points, box = _choose(
         depth_m, *ray_grid(intrinsics), intrinsics.distortion is None, top, left, normal, offset_m,
         footprints.axes, footprints.corner_m, np.float32(1.0 / footprints.cell_m), footprints.labels, label, shown,
     )  # fmt: skip
-    return points, shown, (slice(first_row, end_row), slice(first_column, end_column))
+    return points, shown, (slice(*box[:2]), slice(*box[2:]))
 
 
 @compiled
@@ -54,7 +54,7 @@ def _choose(
     normal: Float32[np.ndarray, "3"], offset_m: np.float32,
     axes: Float32[np.ndarray, "axes=2 3"], corner_m: Float32[np.ndarray, " axes=2"], cells_per_m: np.float32,
     labels: Int32[np.ndarray, "down across"], label: int, shown: Bool[np.ndarray, "rows columns"],
-) -> tuple[Points, tuple[int, int, int, int]]:  # fmt: skip
+) -> tuple[Points, Box]:  # fmt: skip
     """A row of pixels at a time: first the cell of each, eight at once, then what stands there.
 
     Of `upright` rays only the first row's x/z and the first column's y/z are read.
@@ -98,7 +98,6 @@ def _choose(
             shown[row, column] = stands
             count += stands
     points, n = np.empty((count, 3), np.float32), 0
-    first_row, end_row, first_column, end_column = rows, 0, columns, 0
     for row in range(rows):
         for column in range(columns):
             if shown[row, column]:
@@ -107,6 +106,4 @@ def _choose(
                 points[n, 1] = whole_y[top + row, 0 if upright else left + column] * z
                 points[n, 2] = z
                 n += 1
-                first_row, end_row = min(first_row, row), row + 1
-                first_column, end_column = min(first_column, column), max(end_column, column + 1)
-    return points, (first_row, end_row, first_column, end_column)
+    return points, box_of(shown, True)
