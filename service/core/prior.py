@@ -11,18 +11,18 @@ from jaxtyping import Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX, Condition
-from service.core.prior_corotational import CorotationalSolver
+from service.core.prior_balance import NeoHookeanSolver
 from service.core.prior_field import Points, backward_fields
 from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
 
-CELLS = 240
+CELLS = 300
 """Cells with material that a body is cut into, about: bodies with legs and walls fill few of those over their box.
 docs/runs.md tells what other numbers give."""
 
-STEPS = 24
-"""Corrections of large rotations at most."""
+STEPS = 40
+"""From the linear solution to a balanced one at most; most loads take five to ten."""
 
 
 Nodal = Float32[np.ndarray, "loads axis=3 n"]
@@ -62,7 +62,7 @@ class ElasticPrior:
     def __init__(self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS) -> None:
         self.grid = CellGrid.fit(occupancy, cells)
         self._occupancy = occupancy
-        self.solver = CorotationalSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
+        self.solver = NeoHookeanSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
 
     @cached_property
     def _points(self) -> Points:
@@ -83,7 +83,7 @@ class ElasticPrior:
 
         Args:
             conditions: One a load, at least one, see `service.core.condition`; their ν is not looked at.
-            steps: 0 is linear elasticity, see `CorotationalSolver.solve`.
+            steps: 0 is linear elasticity, see `NeoHookeanSolver.solve`.
         """
         return self.solver.solve(self.forces(conditions), steps)
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float32, Int
 
 from service.core.compiled import compiled
-from service.core.prior_element import cell_stiffness, floor_stiffness
+from service.core.prior_element import Element, floor_stiffness, rest_stiffness
 from service.core.prior_grid import CORNERS, CellGrid
 from service.core.prior_rotation import Matrices, Nine
 
@@ -32,7 +32,8 @@ class Cells(NamedTuple):
     Attributes:
         own: How many are the body's; those after them have no stiffness.
         nodes: Node of each corner.
-        stiffness: Of each cell, local degree of freedom 3·corner + axis.
+        element: Their material.
+        stiffness: Of each cell at rest, local degree of freedom 3·corner + axis.
         rest: Place of each corner from the centre of its cell.
         around: The cell that has this node as its corner a; one without stiffness where there is none.
         share: Its share of the material around the node.
@@ -42,6 +43,7 @@ class Cells(NamedTuple):
 
     own: int
     nodes: Int[np.ndarray, "8 k"]
+    element: Element
     stiffness: Float32[np.ndarray, "24 24 k"]
     rest: Float32[np.ndarray, "8 3"]
     around: Int[np.ndarray, "8 n"]
@@ -61,8 +63,9 @@ class Cells(NamedTuple):
         k = m // _BLOCK * _BLOCK + _BLOCK
         nodes, around, share = np.zeros((8, k), np.int64), np.full((8, n), m), np.zeros((8, n), np.float32)
         _list_cells(grid.cell_nodes, np.maximum(grid.fill, np.float32(1e-3)), nodes, around, share)
+        element = Element.of(grid, poisson_ratio, k)
         return cls(
-            own=m, nodes=nodes, stiffness=cell_stiffness(grid, poisson_ratio, k),
+            own=m, nodes=nodes, element=element, stiffness=rest_stiffness(element),
             rest=((CORNERS - 0.5) * grid.edges).astype(np.float32), around=around, share=share,
             sole=nodes[_LOWER[:, None], grid.floor_cells], bed=floor_stiffness(grid),
         )  # fmt: skip

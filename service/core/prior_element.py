@@ -1,13 +1,16 @@
-"""The hexahedron of the coarse elastic solve: trilinear, with enhanced strains that make it exact in bending."""
+"""The hexahedron of the coarse elastic solve: trilinear, its volumetric energy taken at the cell's mean volume ratio."""
 
 from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float32, Float64
 
 from service.core.compiled import compiled
-from service.core.prior_grid import CORNERS, POINTS_27, CellGrid, shape_functions
-from service.core.prior_moments import GAUSS_3, add_share
+from service.core.prior_grid import CORNERS, CellGrid, shape_functions
+from service.core.prior_octants import add_share
 
 VOID_STIFFNESS = 1e-3
 """Young's modulus of the empty part of a cell, of that of the body: no node hangs free."""
@@ -19,110 +22,134 @@ FLOOR_STIFFNESS = 300.0
 """Stiffness of the bed between the sole and the support, in E/L per unit of area. It stands for a clamp of
 500, which finer cells would feel as soft as this: measured best on 139 bodies of the simulator."""
 
-_WEIGHTS_3 = np.array([5.0, 8.0, 5.0]) / 18.0
-_WEIGHTS_27 = (_WEIGHTS_3[:, None, None] * _WEIGHTS_3[:, None] * _WEIGHTS_3).ravel().astype(np.float32)
-_MODES = (POINTS_27 - 0.5).astype(np.float32)
+EMPTY_OCTANT = 0.02
+"""Octants holding less material than this count as empty; their Gauss point lies far from what they hold."""
+
+_POINTS: Float64[np.ndarray, "8 3"] = 0.5 + (CORNERS - 0.5) / np.sqrt(3.0)
 _SIGNS = np.where(CORNERS == 1, 1.0, -1.0)
-_FACTORS = np.where(CORNERS == 1, POINTS_27[:, None, :], 1.0 - POINTS_27[:, None, :])
+_FACTORS = np.where(CORNERS == 1, _POINTS[:, None, :], 1.0 - _POINTS[:, None, :])
 _GRADIENTS = np.ascontiguousarray(
-    np.stack([_SIGNS[:, axis] * np.delete(_FACTORS, axis, axis=2).prod(axis=2) for axis in range(3)], axis=2),
-    np.float32,
-)  # (27, 8, 3), of the unit cell
-_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij")).reshape(3, -1))
-_FLOOR_SHAPE = _FLOOR_SHAPE[CORNERS[:, 2] == 0]
-_FLOOR_PAIRS = (_FLOOR_SHAPE[:, None] * _FLOOR_SHAPE).reshape(16, 9).astype(np.float32)
+    np.stack([_SIGNS[:, j] * np.delete(_FACTORS, j, axis=2).prod(axis=2) for j in range(3)], axis=2), np.float32
+)  # (point, node, axis), of the unit cell
+_LOWER = CORNERS[:, 2] == 0
+_FLOOR_POINTS = np.concatenate([_POINTS[_LOWER, :2].T, np.zeros((1, 4))])
+_FLOOR_SHAPE = shape_functions(_FLOOR_POINTS)[_LOWER]
+_FLOOR_PAIRS = (_FLOOR_SHAPE[:, None] * _FLOOR_SHAPE).reshape(16, 4).astype(np.float32)
 
-Moduli = Float32[np.ndarray, "9 9"]
-Rows = Float32[np.ndarray, "9 24"]
+Edges = Float32[np.ndarray, "3"]
+Row = Float32[np.ndarray, " k"]
 
 
-def cell_stiffness(grid: CellGrid, poisson_ratio: float, count: int) -> Float32[np.ndarray, "24 24 count"]:
-    """Stiffness of every cell for Young's modulus 1; local degree of freedom 3·node + axis.
+class Element(NamedTuple):
+    """The material of a body's cells, for Young's modulus 1.
 
-    The displacement gradient is enhanced by α_ij (ξ_j − ½) with the α of a full cell, whose nine equations are
-    uncoupled: this takes out the parasitic shear and the parasitic thickness strains of bending and, with them, most of
-    the volumetric locking. What is left is one constant 24×24 matrix a Gauss point; the cells weigh them by what they
-    hold.
+    μ/2 (tr FᵀF − 3) − μ ln J is integrated at the 2×2×2 Gauss points, each of which stands for the material of its own
+    octant, λ/2 ln² J̄ once a cell with J̄ = Σ w J/Σ w: it does not lock as ν → ½. This is the law and the element of the
+    simulator that the networks learn from.
 
-    Args:
-        grid: The cells.
-        poisson_ratio: ν in [0, 0.49].
-        count: Cells of the answer, at least as many; those after the body's have no stiffness.
+    Attributes:
+        weights: Volume that each Gauss point 4·dx + 2·dy + dz stands for.
+        void: Stiffness of the empty part of each cell, as a share of `void_stiffness`.
+        void_stiffness: Of a cell of modulus 1 and ν = 0, linear: what is empty may turn inside out without a cost.
+        edges: Of a cell along x, y, z.
+        shear: μ.
+        bulk: λ.
 
-    Source: Simo and Rifai, IJNME 29 (1990), here with the enhancement of the full parallelepiped (Taylor, Beresford and
-    Wilson, IJNME 10 (1976)) also in cells that are part full.
+    Source: Hughes, The Finite Element Method (2000), section 4.5; Bonet and Wood, Nonlinear Continuum Mechanics (2008),
+    section 8.6. Weights by octants, finite cells: Parvizian, Düster and Rank, Comput. Mech. 41 (2007).
     """
-    table = np.zeros((28, 24, 24), np.float32)
-    _point_stiffness(elastic_moduli(poisson_ratio).astype(np.float32), grid.edges.astype(np.float32), table)
-    share = np.zeros((28, count), np.float32)
-    share[:27, : len(grid.cells)] = grid.weights * np.maximum(grid.fill, 1e-3) ** (FILL_POWER - 1.0)
-    share[27, : len(grid.cells)] = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
-    return np.asarray((table.reshape(28, 576).T @ share).reshape(24, 24, count))
+
+    weights: Float32[np.ndarray, "8 k"]
+    void: Float32[np.ndarray, " k"]
+    void_stiffness: Float32[np.ndarray, "24 24"]
+    edges: Float32[np.ndarray, "3"]
+    shear: np.float32
+    bulk: np.float32
+
+    @classmethod
+    def of(cls, grid: CellGrid, poisson_ratio: float, count: int) -> Element:
+        """The element of a grid's cells.
+
+        Args:
+            grid: The cells.
+            poisson_ratio: ν in [0, 0.49].
+            count: Cells of the answer, at least as many as the grid's; those after them hold nothing.
+        """
+        own, volume = len(grid.cells), float(np.prod(grid.edges))
+        fill = np.maximum(grid.fill, np.float32(1e-3))
+        weights, void = np.zeros((8, count), np.float32), np.zeros(count, np.float32)
+        held = np.where(8.0 * grid.octants < EMPTY_OCTANT, np.float32(0.0), grid.octants)
+        weights[:, :own] = held * (np.float32(volume) * fill ** np.float32(FILL_POWER - 1.0))
+        void[:own] = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
+        edges = grid.edges.astype(np.float32)
+        stiffness = np.zeros((24, 24), np.float32)
+        _add_shear_stiffness(edges, np.full(8, volume / 16.0, np.float32), stiffness)
+        return cls(
+            weights, void, stiffness, edges, np.float32(0.5 / (1.0 + poisson_ratio)),
+            np.float32(poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))),
+        )  # fmt: skip
+
+
+def rest_stiffness(element: Element) -> Float32[np.ndarray, "24 24 k"]:
+    """Stiffness of every cell at rest, which is that of linear elasticity; local degree of freedom 3·node + axis."""
+    result = np.empty((24, 24, len(element.void)), np.float32)
+    _write_rest_stiffness(element, result)
+    return result
 
 
 @compiled
-def _point_stiffness(moduli: Moduli, edges: Float32[np.ndarray, "3"], table: Float32[np.ndarray, "28 24 24"]) -> None:
-    """Add what each Gauss point stands for in the stiffness of a full cell, by its weight, and last that of the void.
-
-    The entry 3i + j of a displacement gradient is ∂u_i/∂x_j, enhanced by a mode that varies along axis j.
-    """
-    freedoms = table.shape[1]
-    gradient, stress = np.zeros((27, 9, freedoms), np.float32), np.empty((9, freedoms), np.float32)
-    coupling = np.zeros((9, freedoms), np.float32)
-    volume = edges[0] * edges[1] * edges[2]
-    for q in range(len(gradient)):
-        for column in range(table.shape[1]):
-            for j in range(len(edges)):
-                gradient[q, 3 * (column % 3) + j, column] = _GRADIENTS[q, column // 3, j] / edges[j]
-        _stresses(moduli, gradient[q], stress)
-        for m in range(len(coupling)):
-            add_share(_WEIGHTS_27[q] * _MODES[q, m % 3], stress[m], coupling[m])
-        _add_products(gradient[q], gradient[q], _WEIGHTS_27[q] * volume, table[27])
-    for q in range(len(gradient)):
-        for m in range(len(coupling)):
-            # ∫(ξ_j − ½)² = 1/12, and entries of the same j are uncoupled by an isotropic law
-            add_share(np.float32(-12.0) * _MODES[q, m % 3] / moduli[m, m], coupling[m], gradient[q, m])
-        _stresses(moduli, gradient[q], stress)
-        _add_products(gradient[q], stress, volume, table[q])
-
-
-@compiled
-def _stresses(moduli: Moduli, gradient: Rows, stress: Rows) -> None:
-    for m in range(len(moduli)):
-        for b in range(stress.shape[1]):
-            stress[m, b] = 0.0
-        for n in range(len(moduli)):
-            if moduli[m, n] != 0.0:
-                add_share(moduli[m, n], gradient[n], stress[m])
-
-
-@compiled
-def _add_products(first: Rows, second: Rows, share: np.float32, result: Float32[np.ndarray, "24 24"]) -> None:
-    """Add a share of the products of columns."""
+def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k"]) -> None:
+    """Sums over the Gauss points, and λ V h ⊗ h with h the mean of the points' ∇N."""
+    table = np.zeros((9, 24, 24), np.float32)
+    share = np.zeros(8, np.float32)
+    for point in range(len(share)):
+        share[:] = np.float32(0.0)
+        share[point] = element.shear
+        _add_shear_stiffness(element.edges, share, table[point])
+    table[len(share)] = element.void_stiffness
+    mean, bulk = np.zeros((24, len(element.void)), np.float32), np.zeros(len(element.void), np.float32)
+    for point in range(len(share)):
+        add_share(np.float32(1.0), element.weights[point], bulk)
+        for a in range(len(mean)):
+            add_share(_GRADIENTS[point, a // 3, a % 3] / element.edges[a % 3], element.weights[point], mean[a])
+    for k in range(len(bulk)):
+        bulk[k] = element.bulk / bulk[k] if bulk[k] > np.float32(0.0) else np.float32(0.0)
     for a in range(len(result)):
-        for m in range(len(first)):
-            if first[m, a] != 0.0:
-                add_share(share * first[m, a], second[m], result[a])
+        for b in range(a, len(result)):
+            row = result[a, b]
+            _write_product(bulk, mean[a], mean[b], row)
+            for point in range(len(share)):
+                if table[point, a, b] != np.float32(0.0):
+                    add_share(table[point, a, b], element.weights[point], row)
+            add_share(table[len(share), a, b], element.void, row)
+            result[b, a] = row
+
+
+@compiled
+def _add_shear_stiffness(edges: Edges, share: Float32[np.ndarray, "8"], result: Float32[np.ndarray, "24 24"]) -> None:
+    """Add shares of 2 ε : ε by the displacements at the Gauss points: ∇N_a·∇N_b 1 + ∇N_b ⊗ ∇N_a."""
+    for point in range(len(share)):
+        if share[point] == np.float32(0.0):
+            continue
+        for a in range(len(result)):
+            i = a % 3
+            for b in range(len(result)):
+                j = b % 3
+                value = _GRADIENTS[point, a // 3, j] * _GRADIENTS[point, b // 3, i] / (edges[i] * edges[j])
+                if i == j:
+                    for axis in range(len(edges)):
+                        product = _GRADIENTS[point, a // 3, axis] * _GRADIENTS[point, b // 3, axis]
+                        value += product / (edges[axis] * edges[axis])
+                result[a, b] += share[point] * value
+
+
+@partial(compiled, apart=True)
+def _write_product(first: Row, second: Row, third: Row, result: Row) -> None:
+    for k in range(len(result)):
+        result[k] = first[k] * second[k] * third[k]
 
 
 def floor_stiffness(grid: CellGrid) -> Float32[np.ndarray, "4 4 b"]:
     """Stiffness of the bed under every floor cell between its lower corners, the same along each axis."""
     scale = np.float32(FLOOR_STIFFNESS * grid.edges[0] * grid.edges[1])
-    return np.asarray((_FLOOR_PAIRS @ (scale * grid.floor_weights)).reshape(4, 4, -1))
-
-
-def elastic_moduli(poisson_ratio: float) -> Float64[np.ndarray, "9 9"]:
-    """Stress by displacement gradient, both row by row, for Young's modulus 1.
-
-    Source: Hooke's law, λ tr ε + 2μ ε; Bonet and Wood, Nonlinear Continuum Mechanics (2008), eq. 6.29.
-    """
-    shear = 0.5 / (1.0 + poisson_ratio)
-    lame = poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))
-    return np.asarray(lame * _TRACE + shear * _TWICE_SYMMETRIC)
-
-
-_IDENTITY = np.eye(3)
-_TRACE = np.einsum("ij,kl->ijkl", _IDENTITY, _IDENTITY).reshape(9, 9)
-_TWICE_SYMMETRIC = (
-    np.einsum("ik,jl->ijkl", _IDENTITY, _IDENTITY) + np.einsum("il,jk->ijkl", _IDENTITY, _IDENTITY)
-).reshape(9, 9)
+    return np.asarray((_FLOOR_PAIRS @ (scale * grid.quadrants)).reshape(4, 4, -1))

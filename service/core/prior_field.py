@@ -10,7 +10,7 @@ from jaxtyping import Float32
 
 from service.core.compiled import compiled
 from service.core.prior_cells import Cells, Nodal, at_corners, gradients
-from service.core.prior_grid import POINTS_27, CellGrid, shape_functions
+from service.core.prior_grid import CORNERS, CellGrid, shape_functions
 from service.core.prior_interpolation import NewRows, Rows, interpolate
 from service.core.prior_rotation import Matrices, add_identity, cofactors
 
@@ -25,9 +25,12 @@ _VOID_SHARE = 0.02
 """What a sample counts for that stands for no material: it continues the field around the body."""
 _HELD, _CONTINUED = np.float32(0.0), np.float32(1.0)
 _MIN_DETERMINANT = np.float32(0.1)
-_SHAPE_27: Float32[np.ndarray, "27 8"] = np.ascontiguousarray(shape_functions(POINTS_27.T).T, np.float32)
-_FULL_27 = np.outer(np.outer([5.0, 8.0, 5.0], [5.0, 8.0, 5.0]), [5.0, 8.0, 5.0]).ravel() / 18.0**3
-_PER_FULL_27 = (1.0 / _FULL_27[:, None]).astype(np.float32)
+_GAUSS_3 = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
+_POINTS = np.stack(np.meshgrid(_GAUSS_3, _GAUSS_3, _GAUSS_3, indexing="ij"), -1).reshape(-1, 3)
+_SHAPE: Float32[np.ndarray, "27 8"] = np.ascontiguousarray(shape_functions(_POINTS.T).T, np.float32)
+# a point on the border of octants stands for a part of each
+_NEAR = 0.5 + np.sign(np.round(_POINTS[:, None] - 0.5, 6)) * (CORNERS - 0.5)
+_PART_OF_OCTANT = (8.0 * _NEAR.prod(axis=2)).astype(np.float32)
 
 Fields = Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]
 Sums = Float32[np.ndarray, "bins sums"]
@@ -45,8 +48,8 @@ class Points(NamedTuple):
     def of(cls, grid: CellGrid) -> Points:
         """Those of Gauss's rule in the cells of a grid."""
         corner = (grid.low + grid.cells * grid.edges).T
-        share = np.maximum(grid.weights * _PER_FULL_27, np.float32(0.0)) + np.float32(_VOID_SHARE)
-        return cls(np.ascontiguousarray(corner, np.float32), (POINTS_27 * grid.edges).astype(np.float32), share)
+        share = _PART_OF_OCTANT @ grid.octants + np.float32(_VOID_SHARE)
+        return cls(np.ascontiguousarray(corner, np.float32), (_POINTS * grid.edges).astype(np.float32), share)
 
 
 def backward_fields(points: Points, cells: Cells, displacement: Float32[np.ndarray, "loads 3 n"]) -> Fields:
@@ -101,7 +104,7 @@ def _splat(points: Points, cells: Cells, displacement: Nodal, fine: Sums, coarse
             row = moved[i]
             row[:] = 0.0
             for a in range(len(corners)):
-                corner, shape = corners[a, i], _SHAPE_27[q, a]
+                corner, shape = corners[a, i], _SHAPE[q, a]
                 for c in range(k):
                     row[c] += shape * corner[c]
         for c in range(cells.own):

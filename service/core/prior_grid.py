@@ -15,15 +15,10 @@ from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
 from service.core.prior_division import divide
-from service.core.prior_moments import GAUSS_3, FloorWeights, Weights, quadrature_weights
+from service.core.prior_octants import Octants, Quadrants, octants
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
-
-POINTS_27: Float64[np.ndarray, "27 3"] = np.stack(np.meshgrid(GAUSS_3, GAUSS_3, GAUSS_3, indexing="ij"), -1).reshape(
-    -1, 3
-)
-"""Local coordinates of the 3×3×3 Gauss points of a cell."""
 
 MIN_FILL = 0.01
 """Cells holding less material than this are left out."""
@@ -41,25 +36,24 @@ class CellGrid:
         edges: Edges of a cell along x, y, z.
         shape: Cells along x, y, z.
         cells: Index of every kept cell in the box.
-        weights: Quadrature weight of each of the 27 Gauss points, in volumes of a cell. They integrate polynomials up
-            to the second degree in each coordinate over the material of the cell exactly; some may be negative.
+        octants: Material in each octant 4·dx + 2·dy + dz of each cell, in volumes of a cell.
         fill: Part of each cell that holds material.
         nodes: Index of every node in the box, from 0 to `shape`; those of a cell have numbers that lie near.
         cell_nodes: Node number of each corner of each cell, corner 4·dx + 2·dy + dz.
         floor_cells: Which cells stand on the floor.
-        floor_weights: As `weights`, of the 3×3 Gauss points of their lower faces, over the sole of the body.
+        quadrants: Sole of the body in each quadrant 2·dx + dy of their lower faces, in areas of a face.
     """
 
     low: Float64[np.ndarray, "3"]
     edges: Float64[np.ndarray, "3"]
     shape: tuple[int, int, int]
     cells: Int[np.ndarray, "m 3"]
-    weights: Float32[np.ndarray, "27 m"]
+    octants: Float32[np.ndarray, "8 m"]
     fill: Float32[np.ndarray, " m"]
     nodes: Int[np.ndarray, "n 3"]
     cell_nodes: Int[np.ndarray, "m 8"]
     floor_cells: Int[np.ndarray, " b"]
-    floor_weights: Float32[np.ndarray, "9 b"]
+    quadrants: Float32[np.ndarray, "4 b"]
     _cell_of_box: Int[np.ndarray, "x y z"]
 
     @classmethod
@@ -76,18 +70,18 @@ class CellGrid:
         low = np.array(first) / GRID_SIZE
         extent = np.array(end) / GRID_SIZE - low
         nx, ny, nz = shape = divide(occupancy, first, end, cells)
-        weights, floor = quadrature_weights(occupancy, first, end, (nx, ny, nz))
+        held, sole = octants(occupancy, first, end, (nx, ny, nz))
         kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
-        count = _keep(weights, floor, np.float32(MIN_FILL), kept)
+        count = _keep(held, sole, np.float32(MIN_FILL), kept)
         if count == 0:  # a body that touches the floor with a few voxels only
-            count = _keep(weights, floor, np.float32(1e-6), kept)
+            count = _keep(held, sole, np.float32(1e-6), kept)
         # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
         longest, middle, shortest = sorted(range(3), key=lambda axis: -shape[axis])
-        cell_of_box, chosen, nodes, corners, own, fill = _number(kept, count, (longest, middle, shortest), weights)
-        floor_cells, floor_weights = _stand(chosen, floor)
+        cell_of_box, chosen, nodes, corners, own, fill = _number(kept, count, (longest, middle, shortest), held)
+        floor_cells, quadrants = _stand(chosen, sole)
         return cls(
-            low=low, edges=extent / shape, shape=shape, cells=chosen, weights=own, fill=fill,
-            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells, floor_weights=floor_weights,
+            low=low, edges=extent / shape, shape=shape, cells=chosen, octants=own, fill=fill,
+            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells, quadrants=quadrants,
             _cell_of_box=cell_of_box,
         )  # fmt: skip
 
@@ -180,22 +174,22 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 
 
 @compiled
-def _keep(weights: Weights, floor: FloorWeights, least_sole: np.float32, solid: Box) -> int:
+def _keep(held: Octants, sole: Quadrants, least_sole: np.float32, solid: Box) -> int:
     """Mark the cells that hold enough of the body or of its sole.
 
     Those connected to the lowest layer across faces are marked with 2, and counted: nothing holds the others.
     """
-    for x in range(weights.shape[1]):
-        for y in range(weights.shape[2]):
-            for z in range(weights.shape[3]):
+    for x in range(held.shape[1]):
+        for y in range(held.shape[2]):
+            for z in range(held.shape[3]):
                 fill = np.float32(0.0)
-                for point in range(len(weights)):
-                    fill += weights[point, x, y, z]
+                for part in range(len(held)):
+                    fill += held[part, x, y, z]
                 solid[x + 1, y + 1, z + 1] = fill >= np.float32(MIN_FILL)
-            sole = np.float32(0.0)
-            for point in range(len(floor)):
-                sole += floor[point, x, y]
-            solid[x + 1, y + 1, 1] |= sole >= least_sole
+            area = np.float32(0.0)
+            for part in range(len(sole)):
+                area += sole[part, x, y]
+            solid[x + 1, y + 1, 1] |= area >= least_sole
     count, before = 0, -1
     while before != count:
         before = count
@@ -213,21 +207,21 @@ def _keep(weights: Weights, floor: FloorWeights, least_sole: np.float32, solid: 
 
 @compiled
 def _number(
-    kept: Box, count: int, order: tuple[int, int, int], weights: Weights
+    kept: Box, count: int, order: tuple[int, int, int], held: Octants
 ) -> tuple[
     Int[np.ndarray, "x y z"], Int[np.ndarray, "m 3"], Int[np.ndarray, "n 3"], Int[np.ndarray, "m 8"],
-    Float32[np.ndarray, "27 m"], Float32[np.ndarray, " m"],
+    Float32[np.ndarray, "8 m"], Float32[np.ndarray, " m"],
 ]:  # fmt: skip
     """Number the cells marked with 2 in the order of memory and the nodes by their axes in this order.
 
     Returns:
-        The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, its weights and their
-        sum.
+        The number of every cell of the box or -1, the cells, the nodes, the nodes of every cell, what its octants hold
+        and their sum.
     """
-    _, size_x, size_y, size_z = weights.shape
+    _, size_x, size_y, size_z = held.shape
     cell_of_box = np.empty((size_x, size_y, size_z), np.int64)
     cells, corners = np.empty((count, 3), np.int64), np.empty((count, 8), np.int64)
-    own, fill = np.empty((27, count), np.float32), np.zeros(count, np.float32)
+    own, fill = np.empty((8, count), np.float32), np.zeros(count, np.float32)
     node_of_box = np.zeros((size_x + 1, size_y + 1, size_z + 1), np.int64)
     m = 0
     for x in range(size_x):
@@ -238,7 +232,7 @@ def _number(
                     cell_of_box[x, y, z] = m
                     cells[m, 0], cells[m, 1], cells[m, 2] = x, y, z
                     for q in range(len(own)):
-                        own[q, m] = weights[q, x, y, z]
+                        own[q, m] = held[q, x, y, z]
                         fill[m] += own[q, m]
                     for a in range(corners.shape[1]):
                         node_of_box[x + (a >> 2), y + (a >> 1 & 1), z + (a & 1)] = 1
@@ -261,17 +255,17 @@ def _number(
 
 @compiled
 def _stand(
-    cells: Int[np.ndarray, "m 3"], floor: FloorWeights
-) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "9 b"]]:
-    """The cells that stand on the floor, and their weights."""
+    cells: Int[np.ndarray, "m 3"], sole: Quadrants
+) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "4 b"]]:
+    """The cells that stand on the floor, and what their quadrants hold."""
     count = 0
     for m in range(len(cells)):
         count += int(cells[m, 2] == 0)
-    found, own, b = np.empty(count, np.int64), np.empty((len(floor), count), np.float32), 0
+    found, own, b = np.empty(count, np.int64), np.empty((len(sole), count), np.float32), 0
     for m in range(len(cells)):
         if cells[m, 2] == 0:
             found[b] = m
-            for point in range(len(floor)):
-                own[point, b] = floor[point, cells[m, 0], cells[m, 1]]
+            for part in range(len(sole)):
+                own[part, b] = sole[part, cells[m, 0], cells[m, 1]]
             b += 1
     return found, own

@@ -1,22 +1,19 @@
-"""How much of a body is around the Gauss points of every cell: weights that integrate over the material alone."""
+"""How much of a body is in the octants of every cell, and how much of its sole in the quadrants of those on the floor."""
 
 from __future__ import annotations
 
 from functools import lru_cache, partial
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int
+from jaxtyping import Float32, Int
 
 from service.core.arrays import Eights, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import Voxel
 
-GAUSS_3: Float64[np.ndarray, "3"] = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-"""Abscissae in [0, 1] of the Gauss rule of three points."""
-
-Table = Float32[np.ndarray, "voxels points"]
-Weights = Float32[np.ndarray, "27 x y z"]
-FloorWeights = Float32[np.ndarray, "9 x y"]
+Table = Float32[np.ndarray, "voxels halves"]
+Octants = Float32[np.ndarray, "8 x y z"]
+Quadrants = Float32[np.ndarray, "4 x y"]
 
 HELD_ABOVE = 0.14
 """What counts as sole of a column of voxels that begins in the second layer. The simulator holds a body below 0.01 L;
@@ -27,35 +24,32 @@ _EIGHT = np.uint64(0x0101010101010101)
 """Eight filled voxels."""
 
 
-def quadrature_weights(
+def octants(
     occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, int, int]
-) -> tuple[Weights, FloorWeights]:
-    """Weights of the 3×3×3 Gauss points of cells over a box of voxels, and of the 3×3 of their faces on its floor.
+) -> tuple[Octants, Quadrants]:
+    """What the octants 4·dx + 2·dy + dz of cells over a box of voxels hold, and the quadrants 2·dx + dy of its floor.
 
-    They integrate polynomials up to the second degree in each coordinate over the material exactly, in volumes of a
-    cell (areas of its face), where `HELD_ABOVE` of what begins a layer above the floor counts; some may be negative.
+    In volumes of a cell (areas of its face), exact for the voxels; `HELD_ABOVE` of what begins a layer above the floor
+    counts as sole.
 
     Args:
         occupancy: The body.
         first: First voxel of the box along each axis.
         end: The one after its last.
         cells: Along each axis.
-
-    Source: moment fitting: Müller, Kummer and Oberlack, IJNME 96 (2013).
     """
-    x, y, z = (_integrals(n, high - low) for n, low, high in zip(cells, first, end, strict=True))
-    weights = np.empty((27, *cells), np.float32)
-    floor = np.empty((9, *cells[:2]), np.float32)
+    x, y, z = (_halves(n, high - low) for n, low, high in zip(cells, first, end, strict=True))
+    held, sole = np.empty((8, *cells), np.float32), np.empty((4, *cells[:2]), np.float32)
     words = np.ascontiguousarray(occupancy).view(np.uint64)
-    _integrate(words, np.array(first), x, y, z, weights, floor)
-    return weights, floor
+    _integrate(words, np.array(first), x, y, z, held, sole)
+    return held, sole
 
 
 @compiled
 def _integrate(
-    words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, weights: Weights, floor: FloorWeights
+    words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, held: Octants, sole: Quadrants
 ) -> None:
-    """Integrals along columns of voxels, over their rows, and over these: each table is a factor of the polynomials.
+    """Lengths along columns of voxels, areas over their rows, and volumes over these.
 
     Eight voxels at a time are looked at, and one by one only where they are not like the one below. Loops run to
     lengths of arrays: were these known to the compiler, it would write the loops out.
@@ -95,14 +89,14 @@ def _integrate(
             if share != 0.0:
                 for q in range(len(plane)):
                     add_share(share, plane[q], total[p, q])
-    for a in range(weights.shape[1]):
-        for b in range(weights.shape[2]):
-            for point in range(len(floor)):
-                floor[point, a, b] = total[3 * a + point // 3, 3 * b + point % 3, size]
-            for point in range(len(weights)):
-                line = total[3 * a + point // 9, 3 * b + point // 3 % 3]
-                for c in range(weights.shape[3]):
-                    weights[point, a, b, c] = line[3 * c + point % 3]
+    for a in range(held.shape[1]):
+        for b in range(held.shape[2]):
+            for part in range(len(sole)):
+                sole[part, a, b] = total[2 * a + part // 2, 2 * b + part % 2, size]
+            for part in range(len(held)):
+                line = total[2 * a + part // 4, 2 * b + part // 2 % 2]
+                for c in range(held.shape[3]):
+                    held[part, a, b, c] = line[2 * c + part % 2]
 
 
 @partial(compiled, apart=True)
@@ -113,15 +107,7 @@ def add_share(share: np.float32, values: Float32[np.ndarray, " n"], result: Floa
 
 
 @lru_cache(maxsize=512)
-def _integrals(cells: int, voxels: int) -> Table:
-    """Integrals of the Lagrange polynomials of the Gauss points over their cell up to each face between voxels.
-
-    Column 3·cell + point; `cells` cells over `voxels` voxels.
-    """
-    up_to = np.clip(np.arange(voxels + 1)[:, None] * (cells / voxels) - np.arange(cells), 0.0, 1.0)
-    table = np.empty((voxels + 1, cells, 3), np.float32)
-    for point in range(3):
-        others = np.delete(GAUSS_3, point)
-        polynomial = np.poly1d(others, r=True) / np.prod(GAUSS_3[point] - others)
-        table[:, :, point] = polynomial.integ()(up_to)
-    return table.reshape(voxels + 1, 3 * cells)
+def _halves(cells: int, voxels: int) -> Table:
+    """How much of each half of each cell, in edges of a cell, is below each face between voxels."""
+    place = np.arange(voxels + 1)[:, None] * (2.0 * cells / voxels)
+    return np.asarray(0.5 * np.clip(place - np.arange(2 * cells), 0.0, 1.0), np.float32)

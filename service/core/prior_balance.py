@@ -1,0 +1,271 @@
+"""Large deformations: from the linear solution to one in which the material's forces balance the load's.
+
+Arrays of nodes are (loads, 3, n). What one load takes up stays in the cache, so that loads are treated one after the
+other. In the kernels even short outer loops run to lengths of arrays: known to the compiler, they would be unrolled.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float32
+
+from service.core.compiled import compiled
+from service.core.prior_assembly import rest_factor, solve_at_rest
+from service.core.prior_cells import Cells, Nodal, at_corners, at_nodes, cell_forces, gradients, mean_at_nodes
+from service.core.prior_factor import BandFactor
+from service.core.prior_forces import missing_forces
+from service.core.prior_grid import CellGrid
+from service.core.prior_rotation import (
+    Matrices,
+    add_identity,
+    exponentials,
+    polar_rotations,
+    spin_axes,
+    turn,
+    turn_back,
+)
+from service.core.prior_secant import MEMORY, dot, put_on, remember, take_off
+
+_LARGEST_ROTATION = np.float32(1.3)
+"""Radians. A cantilever under a dead load turns towards the load, by π/2 at the very most."""
+
+TOLERANCE = np.float32(1e-4)
+"""Of the load's work: where the missing forces do less on the next step, a load is balanced. That leaves some half a
+percent of the displacement."""
+
+_LEAST_RATIO = np.float32(0.02)
+"""Of volumes, at a Gauss point of a state to start from; steps may go to half of it."""
+
+_SHARE = np.float32(0.8)
+_SHARES = 12
+"""A start that squeezes a cell further, or turns it inside out, is taken at a share, at most so often."""
+
+_LONGEST_STEP = np.float32(0.25)
+"""Edges of the body grid."""
+
+_TRIES = 8
+"""Lengths of a step."""
+
+_OVERSHOT = np.float32(-0.5)
+"""Work that the missing forces may do against a step after it, as a share of what they did before it."""
+
+_FARTHEST = 2.0
+"""Edges of the body grid. What moves farther has left the grid; loads that would do so are answered at a share."""
+
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+
+Loads = Float32[np.ndarray, "loads 3 n"]
+
+
+class NeoHookeanSolver:
+    """Displacements of one body under any number of loads.
+
+    Args:
+        grid: Its cells.
+        poisson_ratio: ν in [0, 0.49].
+
+    Source: the law: Bonet and Wood, Nonlinear Continuum Mechanics (2008), eq. 6.27. Rotation from the linear solution:
+    Huang et al., Interactive shape interpolation through rotation-strain coordinates, TVCG 17 (2011).
+    """
+
+    def __init__(self, grid: CellGrid, poisson_ratio: float) -> None:
+        self.cells = Cells.of(grid, poisson_ratio)
+        self.factor = rest_factor(self.cells)
+
+    def solve(self, force: Loads, steps: int) -> Loads:
+        """Displacements under nodal forces.
+
+        Args:
+            force: In E L².
+            steps: 0 gives the linear solution. Otherwise that is unrolled and led on until it balances to `TOLERANCE`,
+                in at most this many steps.
+
+        Returns:
+            Finite values of at most two edges of the grid, whatever the load: one for which nothing finite comes out is
+            answered as none.
+        """
+        u = np.empty_like(force)
+        solve_at_rest(self.factor, force, u)
+        if steps:
+            unrolled = np.empty_like(force)
+            _unroll(self.cells, u, unrolled)
+            solve_at_rest(self.factor, unrolled, u)
+            for load in range(len(u)):
+                _balance(self.cells, self.factor, force[load], steps, u[load])
+        _bound(u)
+        return u
+
+    def correction(self, u: Loads, force: Loads) -> Loads:
+        """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
+        result = np.empty_like(u)
+        for load in range(len(u)):
+            _correct(self.cells, self.factor, force[load], u[load], result[load])
+        return result
+
+
+@compiled
+def _bound(u: Loads) -> None:
+    """Take displacements that go farther than `_FARTHEST` at a share; what is no number is none."""
+    for load in range(len(u)):
+        values = u[load].ravel()
+        longest, finite = np.float32(1e-20), True
+        for i in range(len(values)):
+            longest = max(longest, abs(values[i]))
+            finite &= np.isfinite(values[i])
+        share = min(np.float32(1.0), np.float32(_FARTHEST) / longest)
+        for i in range(len(values)):
+            values[i] = share * values[i] if finite else np.float32(0.0)
+
+
+@compiled
+def _unroll(cells: Cells, displacement: Loads, result: Loads) -> None:
+    """The forces that belong to linear solutions with the rotations of their cells made finite.
+
+    A cell's displacement without its mean and its infinitesimal rotation ω is turned by exp(ω); under these forces the
+    elastic energy of what the cells then miss is least. A load that would turn a cell farther than dead loads do is
+    taken at a share: linear elasticity winds a body up without end.
+    """
+    k = cells.nodes.shape[1]
+    corners, turned = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
+    rotation, axis, mean = np.empty((3, 3, k), np.float32), np.empty((3, k), np.float32), np.empty(k, np.float32)
+    for load in range(len(displacement)):
+        at_corners(cells, displacement[load], corners)
+        gradients(cells, corners, rotation)
+        spin_axes(rotation, axis)
+        largest = np.float32(1e-20)
+        for c in range(k):
+            largest = max(largest, axis[0, c] * axis[0, c] + axis[1, c] * axis[1, c] + axis[2, c] * axis[2, c])
+        share = min(np.float32(1.0), _LARGEST_ROTATION / np.sqrt(largest))
+        exponentials(axis, share, rotation)
+        for i in range(len(axis)):
+            spin_j, spin_k = axis[(i + 1) % 3], axis[(i + 2) % 3]
+            mean[:] = 0.0
+            for a in range(len(corners)):
+                row = corners[a, i]
+                for c in range(k):
+                    mean[c] += np.float32(0.125) * row[c]
+            for a in range(len(corners)):
+                row, rest_j, rest_k = corners[a, i], cells.rest[a, (i + 1) % 3], cells.rest[a, (i + 2) % 3]
+                for c in range(k):
+                    row[c] = share * (row[c] - mean[c] - (spin_j[c] * rest_k - spin_k[c] * rest_j))
+        _add_rest(cells, np.float32(1.0), corners)
+        for a in range(len(corners)):
+            turn(rotation, corners[a], turned[a])
+        _add_rest(cells, np.float32(-1.0), turned)
+        cell_forces(cells, turned, corners)
+        at_nodes(cells, corners, result[load])
+
+
+@compiled
+def _balance(cells: Cells, factor: BandFactor, force: Nodal, steps: int, u: Nodal) -> None:
+    """Lead displacements on in their place, by quasi-Newton steps around the factor at rest in the frames of the nodes.
+
+    Each goes as far as the missing forces work for it. Where one leads nowhere, the earlier ones are forgotten and the
+    frames taken anew; where the first of such a series leads nowhere, nothing does.
+    """
+    frames, missing, left = np.empty((3, 3, u.shape[1]), np.float32), np.empty_like(u), np.empty_like(u)
+    place, move, direction = np.empty_like(u), np.empty_like(u), np.empty_like(u)
+    moves, changes = np.empty((MEMORY, *u.shape), np.float32), np.empty((MEMORY, *u.shape), np.float32)
+    scales, shares = np.empty(MEMORY, np.float32), np.empty(MEMORY, np.float32)
+    _start(cells, force, u, missing)
+    _take_frames(cells, u, frames)
+    count, fresh = 0, True
+    for _ in range(steps):
+        left[...] = missing
+        take_off(moves, changes, scales, count, shares, left)
+        _solve_in_frames(factor, frames, left, direction)
+        put_on(moves, changes, scales, count, shares, direction)
+        work = dot(missing, direction)
+        if _ZERO < work <= TOLERANCE * abs(dot(force, u)):
+            return
+        share = _step(cells, force, u, direction, work, place, left) if work > _ZERO else _ZERO
+        if share > _ZERO:
+            for i in range(len(u)):
+                for v in range(u.shape[1]):
+                    move[i, v] = place[i, v] - u[i, v]
+                    u[i, v], direction[i, v], missing[i, v] = place[i, v], missing[i, v] - left[i, v], left[i, v]
+            count, fresh = remember(move, direction, moves, changes, scales, count), False
+        elif fresh:
+            return
+        else:
+            _take_frames(cells, u, frames)
+            count, fresh = 0, True
+
+
+@compiled
+def _start(cells: Cells, force: Nodal, u: Nodal, missing: Nodal) -> None:
+    """Take a start at a share until no cell is turned inside out, or at none; write what is missing there."""
+    for _ in range(_SHARES):
+        if missing_forces(cells, u, force, missing) > _LEAST_RATIO:
+            return
+        u *= _SHARE
+    u[...] = _ZERO
+    missing_forces(cells, u, force, missing)
+
+
+@compiled
+def _step(
+    cells: Cells, force: Nodal, u: Nodal, direction: Nodal, work: np.float32, place: Nodal, missing: Nodal
+) -> np.float32:
+    """Go along a direction until the missing forces, written anew, do not push back by much; the share that is gone.
+
+    None where no share tried does.
+    """
+    longest = np.float32(1e-20)
+    for i in range(len(u)):
+        for v in range(u.shape[1]):
+            longest = max(longest, abs(direction[i, v]))
+    share = min(_ONE, _LONGEST_STEP / longest)
+    for _ in range(_TRIES):
+        for i in range(len(u)):
+            for v in range(u.shape[1]):
+                place[i, v] = u[i, v] + share * direction[i, v]
+        if not missing_forces(cells, place, force, missing) > np.float32(0.5) * _LEAST_RATIO:
+            share *= np.float32(0.5)
+            continue
+        after = dot(missing, direction)
+        if after >= _OVERSHOT * work:
+            return share
+        share *= max(min(work / (work - after), np.float32(0.7)), np.float32(0.1))
+    return _ZERO
+
+
+@compiled
+def _correct(cells: Cells, factor: BandFactor, force: Nodal, u: Nodal, result: Nodal) -> None:
+    """See `NeoHookeanSolver.correction`."""
+    missing, frames = np.empty_like(u), np.empty((3, 3, u.shape[1]), np.float32)
+    missing_forces(cells, u, force, missing)
+    _take_frames(cells, u, frames)
+    _solve_in_frames(factor, frames, missing, result)
+
+
+@compiled
+def _take_frames(cells: Cells, u: Nodal, frames: Matrices) -> None:
+    """Rotations of the material around the nodes."""
+    k = cells.nodes.shape[1]
+    corners, rotation = np.empty((8, 3, k), np.float32), np.empty((3, 3, k), np.float32)
+    at_corners(cells, u, corners)
+    gradients(cells, corners, rotation)
+    add_identity(rotation)
+    polar_rotations(rotation)
+    mean_at_nodes(cells, rotation, frames)
+    polar_rotations(frames)
+
+
+@compiled
+def _solve_in_frames(factor: BandFactor, frames: Matrices, force: Nodal, result: Nodal) -> None:
+    """Displacements by the factor at rest, turned with the material."""
+    turned = np.empty((1, *force.shape), np.float32)
+    turn_back(frames, force, turned[0])
+    solve_at_rest(factor, turned, turned)
+    turn(frames, turned[0], result)
+
+
+@compiled
+def _add_rest(cells: Cells, times: np.float32, corners: Corners) -> None:
+    """From displacements of the corners to their places, or back."""
+    for a in range(len(corners)):
+        for i in range(corners.shape[1]):
+            row, rest = corners[a, i], times * cells.rest[a, i]
+            for c in range(len(row)):
+                row[c] += rest
