@@ -11,23 +11,13 @@ from jaxtyping import Float32
 
 from service.core.compiled import compiled
 from service.core.prior_assembly import rest_factor, solve_at_rest
-from service.core.prior_cells import Cells, Nodal, at_corners, at_nodes, cell_forces, gradients, mean_at_nodes
+from service.core.prior_cells import Cells, Nodal, at_corners, gradients, mean_at_nodes
 from service.core.prior_factor import BandFactor
 from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CellGrid
-from service.core.prior_rotation import (
-    Matrices,
-    add_identity,
-    exponentials,
-    polar_rotations,
-    spin_axes,
-    turn,
-    turn_back,
-)
+from service.core.prior_rotation import Matrices, add_identity, polar_rotations, turn, turn_back
 from service.core.prior_secant import MEMORY, dot, put_on, remember, take_off
-
-_LARGEST_ROTATION = np.float32(1.3)
-"""Radians. A cantilever under a dead load turns towards the load, by π/2 at the very most."""
+from service.core.prior_unrolling import unroll
 
 TOLERANCE = np.float32(1e-4)
 """Of the load's work: where the missing forces do less on the next step, a load is balanced. That leaves some half a
@@ -64,8 +54,7 @@ class NeoHookeanSolver:
         grid: Its cells.
         poisson_ratio: ν in [0, 0.49].
 
-    Source: the law: Bonet and Wood, Nonlinear Continuum Mechanics (2008), eq. 6.27. Rotation from the linear solution:
-    Huang et al., Interactive shape interpolation through rotation-strain coordinates, TVCG 17 (2011).
+    Source: of the law, `service.core.prior_element.Element`; of the steps, `service.core.prior_secant`.
     """
 
     def __init__(self, grid: CellGrid, poisson_ratio: float) -> None:
@@ -88,7 +77,7 @@ class NeoHookeanSolver:
         solve_at_rest(self.factor, force, u)
         if steps:
             unrolled = np.empty_like(force)
-            _unroll(self.cells, u, unrolled)
+            unroll(self.cells, u, unrolled)
             solve_at_rest(self.factor, unrolled, u)
             for load in range(len(u)):
                 _balance(self.cells, self.factor, force[load], steps, u[load])
@@ -115,45 +104,6 @@ def _bound(u: Loads) -> None:
         share = min(np.float32(1.0), np.float32(_FARTHEST) / longest)
         for i in range(len(values)):
             values[i] = share * values[i] if finite else np.float32(0.0)
-
-
-@compiled
-def _unroll(cells: Cells, displacement: Loads, result: Loads) -> None:
-    """The forces that belong to linear solutions with the rotations of their cells made finite.
-
-    A cell's displacement without its mean and its infinitesimal rotation ω is turned by exp(ω); under these forces the
-    elastic energy of what the cells then miss is least. A load that would turn a cell farther than dead loads do is
-    taken at a share: linear elasticity winds a body up without end.
-    """
-    k = cells.nodes.shape[1]
-    corners, turned = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
-    rotation, axis, mean = np.empty((3, 3, k), np.float32), np.empty((3, k), np.float32), np.empty(k, np.float32)
-    for load in range(len(displacement)):
-        at_corners(cells, displacement[load], corners)
-        gradients(cells, corners, rotation)
-        spin_axes(rotation, axis)
-        largest = np.float32(1e-20)
-        for c in range(k):
-            largest = max(largest, axis[0, c] * axis[0, c] + axis[1, c] * axis[1, c] + axis[2, c] * axis[2, c])
-        share = min(np.float32(1.0), _LARGEST_ROTATION / np.sqrt(largest))
-        exponentials(axis, share, rotation)
-        for i in range(len(axis)):
-            spin_j, spin_k = axis[(i + 1) % 3], axis[(i + 2) % 3]
-            mean[:] = 0.0
-            for a in range(len(corners)):
-                row = corners[a, i]
-                for c in range(k):
-                    mean[c] += np.float32(0.125) * row[c]
-            for a in range(len(corners)):
-                row, rest_j, rest_k = corners[a, i], cells.rest[a, (i + 1) % 3], cells.rest[a, (i + 2) % 3]
-                for c in range(k):
-                    row[c] = share * (row[c] - mean[c] - (spin_j[c] * rest_k - spin_k[c] * rest_j))
-        _add_rest(cells, np.float32(1.0), corners)
-        for a in range(len(corners)):
-            turn(rotation, corners[a], turned[a])
-        _add_rest(cells, np.float32(-1.0), turned)
-        cell_forces(cells, turned, corners)
-        at_nodes(cells, corners, result[load])
 
 
 @compiled
@@ -259,13 +209,3 @@ def _solve_in_frames(factor: BandFactor, frames: Matrices, force: Nodal, result:
     turn_back(frames, force, turned[0])
     solve_at_rest(factor, turned, turned)
     turn(frames, turned[0], result)
-
-
-@compiled
-def _add_rest(cells: Cells, times: np.float32, corners: Corners) -> None:
-    """From displacements of the corners to their places, or back."""
-    for a in range(len(corners)):
-        for i in range(corners.shape[1]):
-            row, rest = corners[a, i], times * cells.rest[a, i]
-            for c in range(len(row)):
-                row[c] += rest

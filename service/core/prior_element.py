@@ -1,4 +1,4 @@
-"""The hexahedron of the coarse elastic solve: trilinear, its volumetric energy taken at the cell's mean volume ratio."""
+"""The hexahedron of the coarse elastic solve: trilinear, its volumetric energy that of the cell's mean volume ratio."""
 
 from __future__ import annotations
 

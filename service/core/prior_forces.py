@@ -33,7 +33,8 @@ def missing_forces(cells: Cells, u: Nodal, force: Nodal, result: Nodal) -> np.fl
     """Write the forces that are left when those of material and bed are taken off a load's.
 
     Returns:
-        The smallest volume ratio J at a Gauss point with material: where it is not positive the forces say nothing.
+        The smallest volume ratio J at a Gauss point with material, at most 1: where it is not positive the forces say
+        nothing.
     """
     k, element = cells.nodes.shape[1], cells.element
     corners, forces = np.empty((8, 3, k), np.float32), np.empty((8, 3, k), np.float32)
@@ -130,7 +131,7 @@ def _write_gradient(
 
 @partial(compiled, apart=True)
 def _write_cofactor(gradient: Tensors, cofactor: Tensors, ratio: Row) -> None:
-    """cof F and J = det F."""
+    """The cofactors of F, and J = det F."""
     f0, f1, f2, f3, f4, f5, f6, f7, f8 = (
         gradient[0], gradient[1], gradient[2], gradient[3], gradient[4], gradient[5], gradient[6], gradient[7],
         gradient[8],
@@ -154,8 +155,7 @@ def _add_ratio(weight: Row, ratio: Row, total: Row) -> np.float32:
     for k in range(len(ratio)):
         if not weight[k] > _ZERO:
             ratio[k] = _ONE
-        if not ratio[k] > smallest:  # what is no number is the smallest
-            smallest = ratio[k]
+        smallest = min(smallest, ratio[k])
         total[k] += weight[k] * ratio[k]
     return smallest
 

@@ -254,9 +254,7 @@ def _number(
 
 
 @compiled
-def _stand(
-    cells: Int[np.ndarray, "m 3"], sole: Quadrants
-) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "4 b"]]:
+def _stand(cells: Int[np.ndarray, "m 3"], sole: Quadrants) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "4 b"]]:
     """The cells that stand on the floor, and what their quadrants hold."""
     count = 0
     for m in range(len(cells)):

@@ -1,4 +1,4 @@
-"""How much of a body is in the octants of every cell, and how much of its sole in the quadrants of those on the floor."""
+"""How much of a body is in the octants of every cell, and of its sole in the quadrants of those on the floor."""
 
 from __future__ import annotations
 
@@ -24,9 +24,7 @@ _EIGHT = np.uint64(0x0101010101010101)
 """Eight filled voxels."""
 
 
-def octants(
-    occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, int, int]
-) -> tuple[Octants, Quadrants]:
+def octants(occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, int, int]) -> tuple[Octants, Quadrants]:
     """What the octants 4·dx + 2·dy + dz of cells over a box of voxels hold, and the quadrants 2·dx + dy of its floor.
 
     In volumes of a cell (areas of its face), exact for the voxels; `HELD_ABOVE` of what begins a layer above the floor

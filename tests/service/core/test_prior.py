@@ -215,7 +215,7 @@ def test_an_empty_body_is_refused() -> None:
         ElasticPrior(np.zeros((64, 64, 64), bool), 0.3)
 
 
-def test_quadrature_weights_hold_the_volume_of_the_body() -> None:
+def test_octants_hold_the_volume_of_the_body() -> None:
     rest = np.random.default_rng(0).random((64, 64, 64)) < 0.3
     grid = CellGrid.fit(rest, CELLS)
     assert grid.fill.sum() * grid.edges.prod() == pytest.approx(rest.sum() / 64**3, rel=1e-4)

@@ -1,8 +1,9 @@
 import numpy as np
 
 from service.core.prior_assembly import rest_factor, solve_at_rest
+from service.core.prior_balance import NeoHookeanSolver
 from service.core.prior_cells import Cells, add_bed, at_corners, at_nodes, cell_forces, gradients, mean_at_nodes
-from service.core.prior_corotational import CorotationalSolver
+from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CORNERS, CellGrid
 
 BODY = np.zeros((64, 64, 64), bool)
@@ -79,18 +80,13 @@ def test_the_bed_pushes_back_on_the_sole_alone() -> None:
 
 
 def test_a_correction_is_what_its_formulas_say() -> None:
-    """Polar rotations by singular values, forces cell by cell, the factor at rest between the frames of the nodes."""
-    solver = CorotationalSolver(GRID, 0.3)
+    """What is missing, by the factor at rest between the frames of the nodes; these by singular values."""
+    solver = NeoHookeanSolver(GRID, 0.3)
     u, force = 0.02 * some(1, 3, N), 1e-3 * some(1, 3, N)[:, ::-1].copy()
     corners = u[0][:, GRID.cell_nodes] + ((CORNERS - 0.5) * GRID.edges).T[:, None]  # (3, m, 8)
     signs = np.where(CORNERS == 1, 0.25, -0.25) / GRID.edges
     first, _, last = np.linalg.svd(np.einsum("imb,bj->mij", corners, signs))
     rotation = first @ last
-    local = np.einsum("mji,jmb->mbi", rotation, corners) - (CORNERS - 0.5) * GRID.edges
-    forces = np.einsum("abm,mb->ma", CELLS.stiffness[:, :, :M], local.reshape(M, 24)).reshape(M, 8, 3)
-    internal = np.zeros((3, N), np.float32)
-    np.add.at(internal.T, GRID.cell_nodes, np.einsum("mij,mbj->mbi", rotation, forces))
-    add_bed(CELLS, u[0], internal)
     means = np.zeros((3, 3, N))
     np.add.at(
         means, (slice(None), slice(None), GRID.cell_nodes),
@@ -98,7 +94,9 @@ def test_a_correction_is_what_its_formulas_say() -> None:
     )  # fmt: skip
     first, _, last = np.linalg.svd(means.transpose(2, 0, 1))
     frames = first @ last
-    left = np.einsum("nji,jn->in", frames, force[0] - internal).astype(np.float32)[None]
+    missing = np.empty((3, N), np.float32)
+    missing_forces(solver.cells, u[0], force[0], missing)
+    left = np.einsum("nji,jn->in", frames, missing).astype(np.float32)[None]
     solve_at_rest(rest_factor(CELLS), left, left)
     expected = np.einsum("nij,jn->in", frames, left[0])
     np.testing.assert_allclose(solver.correction(u, force)[0], expected, atol=2e-3 * np.abs(expected).max())

@@ -3,9 +3,9 @@ import pytest
 
 from service.core.prior_assembly import rest_factor, solve_at_rest
 from service.core.prior_cells import Cells
-from service.core.prior_element import cell_stiffness, elastic_moduli, floor_stiffness
+from service.core.prior_element import floor_stiffness
 from service.core.prior_factor import PANEL, factorised, substitute
-from service.core.prior_grid import POINTS_27, CellGrid, shape_functions
+from service.core.prior_grid import CellGrid
 
 
 def some_body() -> np.ndarray:
@@ -88,38 +88,3 @@ def test_a_body_whose_stiffness_cannot_be_factorised_is_refused() -> None:
     cells = Cells.of(CellGrid.fit(some_body(), 80), 0.4)
     with pytest.raises(np.linalg.LinAlgError, match="positive definite"):
         rest_factor(cells._replace(stiffness=-cells.stiffness))
-
-
-def test_a_rigid_motion_costs_nothing_and_a_constant_strain_its_energy() -> None:
-    """Rotations are infinitesimal here; ½ ε : C ε times the volume for an affine displacement of full cells."""
-    rest = np.zeros((64, 64, 64), bool)
-    rest[8:40, 16:48, :48] = True
-    grid = CellGrid.fit(rest, 60)
-    stiffness = cell_stiffness(grid, 0.3, len(grid.cells)).transpose(2, 0, 1)
-    positions = grid.low + grid.nodes * grid.edges
-    for gradient in (np.array([[0, -1, 2], [1, 0, -3], [-2, 3, 0.0]]), np.arange(9.0).reshape(3, 3) / 9):
-        u = (positions @ gradient.T + 0.5)[grid.cell_nodes].reshape(-1, 24)
-        energy = 0.5 * np.einsum("ma,mab,mb->", u, stiffness, u)
-        flat = gradient.ravel()
-        assert energy == pytest.approx(0.5 * flat @ elastic_moduli(0.3) @ flat * 0.5 * 0.5 * 0.75, rel=2e-3, abs=2e-4)
-
-
-def test_one_full_cell_in_pure_bending_has_the_energy_of_a_beam() -> None:
-    """u_x = x z at the corners, curvature 1: E I a/2 of a plate, whose E is E/(1 − ν²)."""
-    rest = np.zeros((64, 64, 64), bool)
-    rest[:32, :32, :32] = True
-    grid = CellGrid.fit(rest, 1)
-    stiffness = cell_stiffness(grid, 0.3, 1)[:, :, 0]
-    place = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)]) * 0.5 - 0.25
-    u = np.zeros((8, 3))
-    u[:, 0] = place[:, 0] * place[:, 2]
-    energy = 0.5 * u.ravel() @ stiffness @ u.ravel()
-    # E/(1 − ν²) I κ²/2 a over the width: the corners hold the cell flat across
-    assert energy == pytest.approx(0.5 / (1 - 0.3**2) * 0.5**4 / 12 * 0.5, rel=0.01)
-
-
-def test_shape_functions_sum_to_one_and_reproduce_positions() -> None:
-    shape = shape_functions(POINTS_27.T).T
-    corners = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
-    np.testing.assert_allclose(shape.sum(axis=1), 1.0)
-    np.testing.assert_allclose(shape @ corners, POINTS_27, atol=1e-12)
