@@ -11,6 +11,7 @@ from jaxtyping import Float32, Float64
 from service.core.compiled import compiled
 from service.core.prior_grid import CORNERS, CellGrid, shape_functions
 from service.core.prior_octants import add_share
+from service.core.prior_sole import GAUSS_3
 
 VOID_STIFFNESS = 1e-3
 """Young's modulus of the empty part of a cell, of that of the body: no node hangs free."""
@@ -32,9 +33,8 @@ _GRADIENTS = np.ascontiguousarray(
     np.stack([_SIGNS[:, j] * np.delete(_FACTORS, j, axis=2).prod(axis=2) for j in range(3)], axis=2), np.float32
 )  # (point, node, axis), of the unit cell
 _LOWER = CORNERS[:, 2] == 0
-_FLOOR_POINTS = np.concatenate([_POINTS[_LOWER, :2].T, np.zeros((1, 4))])
-_FLOOR_SHAPE = shape_functions(_FLOOR_POINTS)[_LOWER]
-_FLOOR_PAIRS = (_FLOOR_SHAPE[:, None] * _FLOOR_SHAPE).reshape(16, 4).astype(np.float32)
+_FLOOR_SHAPE = shape_functions(np.stack(np.meshgrid(GAUSS_3, GAUSS_3, [0.0], indexing="ij")).reshape(3, -1))[_LOWER]
+_FLOOR_PAIRS = (_FLOOR_SHAPE[:, None] * _FLOOR_SHAPE).reshape(16, 9).astype(np.float32)
 
 Edges = Float32[np.ndarray, "3"]
 Row = Float32[np.ndarray, " k"]
@@ -152,4 +152,4 @@ def _write_product(first: Row, second: Row, third: Row, result: Row) -> None:
 def floor_stiffness(grid: CellGrid) -> Float32[np.ndarray, "4 4 b"]:
     """Stiffness of the bed under every floor cell between its lower corners, the same along each axis."""
     scale = np.float32(FLOOR_STIFFNESS * grid.edges[0] * grid.edges[1])
-    return np.asarray((_FLOOR_PAIRS @ (scale * grid.quadrants)).reshape(4, 4, -1))
+    return np.asarray((_FLOOR_PAIRS @ (scale * grid.sole_weights)).reshape(4, 4, -1))

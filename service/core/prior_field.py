@@ -13,6 +13,7 @@ from service.core.prior_cells import Cells, Nodal, at_corners, gradients
 from service.core.prior_grid import CORNERS, CellGrid, shape_functions
 from service.core.prior_interpolation import NewRows, Rows, interpolate
 from service.core.prior_rotation import Matrices, add_identity, cofactors
+from service.core.prior_sole import GAUSS_3
 
 FIELD_SIZE = 32
 """Nodes of the lattice along each edge; node i lies at (i + ½)/32."""
@@ -25,8 +26,7 @@ _VOID_SHARE = 0.02
 """What a sample counts for that stands for no material: it continues the field around the body."""
 _HELD, _CONTINUED = np.float32(0.0), np.float32(1.0)
 _MIN_DETERMINANT = np.float32(0.1)
-_GAUSS_3 = 0.5 + np.sqrt(0.15) * np.array([-1.0, 0.0, 1.0])
-_POINTS = np.stack(np.meshgrid(_GAUSS_3, _GAUSS_3, _GAUSS_3, indexing="ij"), -1).reshape(-1, 3)
+_POINTS = np.stack(np.meshgrid(GAUSS_3, GAUSS_3, GAUSS_3, indexing="ij"), -1).reshape(-1, 3)
 _SHAPE: Float32[np.ndarray, "27 8"] = np.ascontiguousarray(shape_functions(_POINTS.T).T, np.float32)
 # a point on the border of octants stands for a part of each
 _NEAR = 0.5 + np.sign(np.round(_POINTS[:, None] - 0.5, 6)) * (CORNERS - 0.5)

@@ -15,7 +15,8 @@ from service.core.arrays import GRID_SIZE, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import filled_range
 from service.core.prior_division import divide
-from service.core.prior_octants import Octants, Quadrants, octants
+from service.core.prior_octants import Octants, octants
+from service.core.prior_sole import SoleWeights, sole_weights
 
 CORNERS: Int[np.ndarray, "8 3"] = np.array([[a >> 2 & 1, a >> 1 & 1, a & 1] for a in range(8)])
 """Corner (dx, dy, dz) of local node a = 4·dx + 2·dy + dz."""
@@ -41,7 +42,7 @@ class CellGrid:
         nodes: Index of every node in the box, from 0 to `shape`; those of a cell have numbers that lie near.
         cell_nodes: Node number of each corner of each cell, corner 4·dx + 2·dy + dz.
         floor_cells: Which cells stand on the floor.
-        quadrants: Sole of the body in each quadrant 2·dx + dy of their lower faces, in areas of a face.
+        sole_weights: Quadrature weight of each of the 3×3 Gauss points of their lower faces, see `sole_weights`.
     """
 
     low: Float64[np.ndarray, "3"]
@@ -53,7 +54,7 @@ class CellGrid:
     nodes: Int[np.ndarray, "n 3"]
     cell_nodes: Int[np.ndarray, "m 8"]
     floor_cells: Int[np.ndarray, " b"]
-    quadrants: Float32[np.ndarray, "4 b"]
+    sole_weights: Float32[np.ndarray, "9 b"]
     _cell_of_box: Int[np.ndarray, "x y z"]
 
     @classmethod
@@ -70,7 +71,8 @@ class CellGrid:
         low = np.array(first) / GRID_SIZE
         extent = np.array(end) / GRID_SIZE - low
         nx, ny, nz = shape = divide(occupancy, first, end, cells)
-        held, sole = octants(occupancy, first, end, (nx, ny, nz))
+        held = octants(occupancy, first, end, (nx, ny, nz))
+        sole = sole_weights(occupancy, first, end, (nx, ny))
         kept = np.zeros((nx + 2, ny + 2, nz + 2), np.uint8)  # with nothing all around
         count = _keep(held, sole, np.float32(MIN_FILL), kept)
         if count == 0:  # a body that touches the floor with a few voxels only
@@ -78,10 +80,10 @@ class CellGrid:
         # numbered plane by plane along the longest axis, row by row along the next one: nodes of a cell are then near
         longest, middle, shortest = sorted(range(3), key=lambda axis: -shape[axis])
         cell_of_box, chosen, nodes, corners, own, fill = _number(kept, count, (longest, middle, shortest), held)
-        floor_cells, quadrants = _stand(chosen, sole)
+        floor_cells, own_sole = _stand(chosen, sole)
         return cls(
             low=low, edges=extent / shape, shape=shape, cells=chosen, octants=own, fill=fill,
-            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells, quadrants=quadrants,
+            nodes=nodes, cell_nodes=corners, floor_cells=floor_cells, sole_weights=own_sole,
             _cell_of_box=cell_of_box,
         )  # fmt: skip
 
@@ -174,7 +176,7 @@ def shape_functions(local: Float[np.ndarray, "3 k"]) -> Float[np.ndarray, "8 k"]
 
 
 @compiled
-def _keep(held: Octants, sole: Quadrants, least_sole: np.float32, solid: Box) -> int:
+def _keep(held: Octants, sole: SoleWeights, least_sole: np.float32, solid: Box) -> int:
     """Mark the cells that hold enough of the body or of its sole.
 
     Those connected to the lowest layer across faces are marked with 2, and counted: nothing holds the others.
@@ -254,8 +256,10 @@ def _number(
 
 
 @compiled
-def _stand(cells: Int[np.ndarray, "m 3"], sole: Quadrants) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "4 b"]]:
-    """The cells that stand on the floor, and what their quadrants hold."""
+def _stand(
+    cells: Int[np.ndarray, "m 3"], sole: SoleWeights
+) -> tuple[Int[np.ndarray, " b"], Float32[np.ndarray, "9 b"]]:
+    """The cells that stand on the floor, and their weights."""
     count = 0
     for m in range(len(cells)):
         count += int(cells[m, 2] == 0)

@@ -1,4 +1,4 @@
-"""How much of a body is in the octants of every cell, and of its sole in the quadrants of those on the floor."""
+"""How much of a body is in the octants of every cell."""
 
 from __future__ import annotations
 
@@ -13,22 +13,13 @@ from service.core.extent import Voxel
 
 Table = Float32[np.ndarray, "voxels halves"]
 Octants = Float32[np.ndarray, "8 x y z"]
-Quadrants = Float32[np.ndarray, "4 x y"]
-
-HELD_ABOVE = 0.14
-"""What counts as sole of a column of voxels that begins in the second layer. The simulator holds a body below 0.01 L;
-the lowest voxels are its section at 0.0078, the next at 0.0234. What begins between them begins below 0.01 in as many
-cases, and scanned bodies, whose soles are not flat, stand on little else."""
 
 _EIGHT = np.uint64(0x0101010101010101)
 """Eight filled voxels."""
 
 
-def octants(occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, int, int]) -> tuple[Octants, Quadrants]:
-    """What the octants 4·dx + 2·dy + dz of cells over a box of voxels hold, and the quadrants 2·dx + dy of its floor.
-
-    In volumes of a cell (areas of its face), exact for the voxels; `HELD_ABOVE` of what begins a layer above the floor
-    counts as sole.
+def octants(occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, int, int]) -> Octants:
+    """What the octants 4·dx + 2·dy + dz of cells over a box of voxels hold, in volumes of a cell; exact for the voxels.
 
     Args:
         occupancy: The body.
@@ -37,28 +28,21 @@ def octants(occupancy: Occupancy, first: Voxel, end: Voxel, cells: tuple[int, in
         cells: Along each axis.
     """
     x, y, z = (_halves(n, high - low) for n, low, high in zip(cells, first, end, strict=True))
-    held, sole = np.empty((8, *cells), np.float32), np.empty((4, *cells[:2]), np.float32)
-    words = np.ascontiguousarray(occupancy).view(np.uint64)
-    _integrate(words, np.array(first), x, y, z, held, sole)
-    return held, sole
+    held = np.empty((8, *cells), np.float32)
+    _integrate(np.ascontiguousarray(occupancy).view(np.uint64), np.array(first), x, y, z, held)
+    return held
 
 
 @compiled
-def _integrate(
-    words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, held: Octants, sole: Quadrants
-) -> None:
+def _integrate(words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z: Table, held: Octants) -> None:
     """Lengths along columns of voxels, areas over their rows, and volumes over these.
 
     Eight voxels at a time are looked at, and one by one only where they are not like the one below. Loops run to
     lengths of arrays: were these known to the compiler, it would write the loops out.
     """
-    one, lowest, shift = np.uint64(1), first[2] // 8, np.uint64(8 * (first[2] % 8))
-    second = min(first[2] + 1, 8 * words.shape[2] - 1)
-    next_shift = np.uint64(8 * (second % 8))
-    size = z.shape[1]
-    column = np.empty(size + 1, np.float32)  # at the end what stands on the floor
-    plane = np.empty((y.shape[1], size + 1), np.float32)
-    total = np.zeros((x.shape[1], y.shape[1], size + 1), np.float32)
+    one, size = np.uint64(1), z.shape[1]
+    column, plane = np.empty(size, np.float32), np.empty((y.shape[1], size), np.float32)
+    total = np.zeros((x.shape[1], y.shape[1], size), np.float32)
     for i in range(len(x) - 1):
         plane[...] = 0.0
         for j in range(len(y) - 1):
@@ -74,10 +58,6 @@ def _integrate(
                             empty, below = False, filled
                         word >>= np.uint64(8)
             if not empty:
-                if words[first[0] + i, first[1] + j, lowest] >> shift & one:
-                    column[size] = np.float32(1.0)
-                elif words[first[0] + i, first[1] + j, second // 8] >> next_shift & one:
-                    column[size] = np.float32(HELD_ABOVE)
                 for q in range(len(plane)):
                     share = y[j + 1, q] - y[j, q]
                     if share != 0.0:  # a voxel is in one cell or in two
@@ -89,8 +69,6 @@ def _integrate(
                     add_share(share, plane[q], total[p, q])
     for a in range(held.shape[1]):
         for b in range(held.shape[2]):
-            for part in range(len(sole)):
-                sole[part, a, b] = total[2 * a + part // 2, 2 * b + part % 2, size]
             for part in range(len(held)):
                 line = total[2 * a + part // 4, 2 * b + part // 2 % 2]
                 for c in range(held.shape[3]):
