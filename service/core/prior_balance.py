@@ -19,7 +19,7 @@ from service.core.prior_rotation import Matrices, add_identity, polar_rotations,
 from service.core.prior_secant import MEMORY, dot, put_on, remember, take_off
 from service.core.prior_unrolling import unroll
 
-TOLERANCE = np.float32(1e-4)
+TOLERANCE = np.float32(3e-5)
 """Of the load's work: where the missing forces do less on the next step, a load is balanced. That leaves some half a
 percent of the displacement."""
 
