@@ -21,7 +21,7 @@ CELLS = 300
 """Cells with material that a body is cut into, about: bodies with legs and walls fill few of those over their box.
 docs/runs.md tells what other numbers give."""
 
-STEPS = 40
+STEPS = 32
 """From the linear solution to a balanced one at most; most loads take five to ten."""
 
 

@@ -53,10 +53,8 @@ def missing_forces(cells: Cells, u: Nodal, force: Nodal, result: Nodal) -> np.fl
     terms[...] = _ZERO
     for point in range(len(ratio)):
         x, y, z = _place(point)
-        _add_stress(
-            gradient[point], cofactor[point], ratio[point], element.weights[point], pressure, element.shear,
-            element.edges, x, y, z, terms,
-        )  # fmt: skip
+        _write_stress(gradient[point], cofactor[point], ratio[point], element.weights[point], pressure, element.shear)
+        _add_work(gradient[point], element.edges, x, y, z, terms)
     _write_corners(terms, forces)
     _add_void(element, corners, forces)
     at_nodes(cells, forces, result)
@@ -172,26 +170,34 @@ def _write_pressure(element: Element, values: Row) -> None:
 
 
 @partial(compiled, apart=True)
-def _add_stress(
-    gradient: Tensors, cofactor: Tensors, ratio: Row, weight: Row, pressure: Row, shear: np.float32,
-    edges: Float32[np.ndarray, "3"], x: np.float32, y: np.float32, z: np.float32, terms: Terms,
-) -> None:  # fmt: skip
-    """Add the work that the first Piola-Kirchhoff stress at a place does on the coefficients.
+def _write_stress(
+    gradient: Tensors, cofactor: Tensors, ratio: Row, weight: Row, pressure: Row, shear: np.float32
+) -> None:
+    """Write the first Piola-Kirchhoff stress of a Gauss point, times what it stands for, over the gradient.
 
     P = μ F + (p − μ/J) cof F.
     """
+    for k in range(len(weight)):  # the ratio is not needed any more
+        ratio[k] = weight[k] * (pressure[k] - shear / ratio[k])
+    for entry in range(len(gradient)):
+        row, cofactors_of = gradient[entry], cofactor[entry]
+        for k in range(len(weight)):
+            row[k] = shear * weight[k] * row[k] + ratio[k] * cofactors_of[k]
+
+
+@partial(compiled, apart=True)
+def _add_work(
+    stress: Tensors, edges: Float32[np.ndarray, "3"], x: np.float32, y: np.float32, z: np.float32, terms: Terms
+) -> None:
+    """Add the work that the stress at a place does on the coefficients."""
     by_x, by_y, by_z = _ONE / edges[0], _ONE / edges[1], _ONE / edges[2]
     xy, yz, xz = x * y, y * z, x * z
     for i in range(len(terms)):
-        f0, f1, f2 = gradient[3 * i], gradient[3 * i + 1], gradient[3 * i + 2]
-        c0, c1, c2 = cofactor[3 * i], cofactor[3 * i + 1], cofactor[3 * i + 2]
+        along_x, along_y, along_z = stress[3 * i], stress[3 * i + 1], stress[3 * i + 2]
         on_x, on_y, on_z = terms[i, 0], terms[i, 1], terms[i, 2]
         on_xy, on_yz, on_xz, on_xyz = terms[i, 3], terms[i, 4], terms[i, 5], terms[i, 6]
-        for k in range(len(weight)):
-            own, spherical = weight[k] * shear, weight[k] * (pressure[k] - shear / ratio[k])
-            a = by_x * (own * f0[k] + spherical * c0[k])
-            b = by_y * (own * f1[k] + spherical * c1[k])
-            c = by_z * (own * f2[k] + spherical * c2[k])
+        for k in range(len(on_x)):
+            a, b, c = by_x * along_x[k], by_y * along_y[k], by_z * along_z[k]
             on_x[k] += a
             on_y[k] += b
             on_z[k] += c
@@ -201,18 +207,14 @@ def _add_stress(
             on_xyz[k] += yz * a + xz * b + xy * c
 
 
-@compiled
+@partial(compiled, apart=True)
 def _add_void(element: Element, corners: Corners, forces: Corners) -> None:
     """Add the forces of what is empty."""
-    u, result = corners.reshape(24, -1), forces.reshape(24, -1)
+    u, result, void, stiffness = corners.reshape(24, -1), forces.reshape(24, -1), element.void, element.void_stiffness
     for a in range(len(result)):
-        for b in range(len(u)):
-            stiffness = element.void_stiffness[a, b]
-            if stiffness != _ZERO:
-                _add_product(stiffness, element.void, u[b], result[a])
-
-
-@partial(compiled, apart=True)
-def _add_product(factor: np.float32, share: Row, values: Row, result: Row) -> None:
-    for k in range(len(result)):
-        result[k] += factor * share[k] * values[k]
+        row = result[a]
+        for b in range(0, len(u), 4):
+            first, second, third, fourth = u[b], u[b + 1], u[b + 2], u[b + 3]
+            p, q, r, s = stiffness[a, b], stiffness[a, b + 1], stiffness[a, b + 2], stiffness[a, b + 3]
+            for k in range(len(row)):
+                row[k] += void[k] * (p * first[k] + q * second[k] + r * third[k] + s * fourth[k])
