@@ -65,10 +65,11 @@ def test_answers_come_from_one_thread_in_order_of_asking():
         tasks = [asyncio.create_task(scheduler.submit(ask(name), soon())) for name in "abc"]
         while not predictor.asked or scheduler.queue_depth < 2:  # the first is begun, the others wait
             await asyncio.sleep(0.001)
+        await asyncio.sleep(0.02)  # far longer than the first waited for its thread
         gate.open.set()
         answers = await asyncio.gather(*tasks)
         assert all(answer.result.model_name == "fake" for answer in answers)
-        assert answers[2].queued_s >= answers[0].queued_s
+        assert answers[2].queued_s > answers[0].queued_s and answers[2].queued_s > 0.02
 
     predictor = run(test, queue_size=3, gate=Gate())
     assert [request.material.name for request in predictor.asked] == ["a", "b", "c"]
