@@ -6,6 +6,7 @@ import pytest
 from service.core.lookup import warp
 from service.core.prior import CELLS, STEPS, ElasticPrior
 from service.core.prior_element import FLOOR_STIFFNESS
+from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CellGrid
 
 
@@ -110,6 +111,20 @@ def test_a_load_that_balances_early_waits_for_no_other() -> None:
     together = prior.nodal(loads)
     for load, u in zip(loads, together, strict=True):
         np.testing.assert_allclose(u, prior.nodal([load])[0], atol=1e-3 * np.abs(u).max())
+
+
+def test_a_load_under_which_thin_walls_crumple_is_left_after_a_few_steps() -> None:
+    """It would take hundreds, if it balances at all; what is answered has moved, and no cell is inside out."""
+    x, y, z = np.indices((64, 64, 64)) - np.array([31.5, 31.5, 0.0])[:, None, None, None]
+    radius = np.sqrt(x**2 + y**2)
+    prior = ElasticPrior((radius < 24) & ((radius > 22) | (z < 3)) & (z < 44), 0.49)
+    crumpled, bent = (prior.forces([push((0.867, 0.5, 0.6), (-1.0, 0.0, 0.0), load)]) for load in (3e-3, 1e-5))
+    answer = prior.solver.solve(crumpled, STEPS)
+    np.testing.assert_array_equal(answer, prior.solver.solve(crumpled, 5))
+    assert np.abs(answer).max() > 0.1
+    assert missing_forces(prior.solver.cells, answer[0], crumpled[0], np.empty_like(answer[0])) > 0.0
+    balanced = prior.solver.solve(bent, STEPS)
+    assert np.abs(prior.solver.correction(balanced, bent)).max() < 0.02 * np.abs(balanced).max()
 
 
 def test_a_column_that_bends_far_keeps_its_volume() -> None:
