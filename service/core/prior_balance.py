@@ -16,7 +16,7 @@ from service.core.prior_factor import BandFactor
 from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CellGrid
 from service.core.prior_rotation import Matrices, add_identity, polar_rotations, turn, turn_back
-from service.core.prior_secant import MEMORY, dot, put_on, remember, take_off
+from service.core.prior_secant import MEMORY, copy, dot, put_on, remember, take_off
 from service.core.prior_unrolling import unroll
 
 TOLERANCE = np.float32(3e-5)
@@ -122,16 +122,17 @@ def _balance(cells: Cells, factor: BandFactor, force: Nodal, steps: int, u: Noda
     moves, changes = np.empty((MEMORY, *u.shape), np.float32), np.empty((MEMORY, *u.shape), np.float32)
     scales, shares = np.empty(MEMORY, np.float32), np.empty(MEMORY, np.float32)
     # the start is a step itself, from rest
-    direction[...] = u
-    u[...] = _ZERO
+    for i in range(len(u)):
+        for v in range(u.shape[1]):
+            direction[i, v], u[i, v] = u[i, v], _ZERO
     if _step(cells, force, u, direction, dot(force, direction), _ONE, place, missing) > _ZERO:
-        u[...] = place
+        copy(place, u)
     else:
         missing_forces(cells, u, force, missing)
     _take_frames(cells, u, frames)
     count, fresh, largest = 0, True, _ONE
     for step in range(steps):
-        left[...] = missing
+        copy(missing, left)
         take_off(moves, changes, scales, count, shares, left)
         _solve_in_frames(factor, frames, left, direction)
         put_on(moves, changes, scales, count, shares, direction)

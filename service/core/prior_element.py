@@ -100,13 +100,12 @@ def rest_stiffness(element: Element) -> Float32[np.ndarray, "24 24 k"]:
 @compiled
 def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k"]) -> None:
     """Sums over the Gauss points, and λ V h ⊗ h with h the mean of the points' ∇N."""
-    table = np.zeros((9, 24, 24), np.float32)
+    table = np.zeros((8, 24, 24), np.float32)
     share = np.zeros(8, np.float32)
     for point in range(len(share)):
-        share[:] = np.float32(0.0)
         share[point] = element.shear
         _add_shear_stiffness(element.edges, share, table[point])
-    table[len(share)] = element.void_stiffness
+        share[point] = np.float32(0.0)
     mean, bulk = np.zeros((24, len(element.void)), np.float32), np.zeros(len(element.void), np.float32)
     for point in range(len(share)):
         add_share(np.float32(1.0), element.weights[point], bulk)
@@ -121,8 +120,10 @@ def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k
             for point in range(len(share)):
                 if table[point, a, b] != np.float32(0.0):
                     add_share(table[point, a, b], element.weights[point], row)
-            add_share(table[len(share), a, b], element.void, row)
-            result[b, a] = row
+            add_share(element.void_stiffness[a, b], element.void, row)
+            other = result[b, a]
+            for k in range(len(row)):
+                other[k] = row[k]
 
 
 @compiled

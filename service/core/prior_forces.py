@@ -50,7 +50,10 @@ def missing_forces(cells: Cells, u: Nodal, force: Nodal, result: Nodal) -> np.fl
         _write_cofactor(gradient[point], cofactor[point], ratio[point])
         smallest = min(smallest, _add_ratio(element.weights[point], ratio[point], pressure))
     _write_pressure(element, pressure)
-    terms[...] = _ZERO
+    for i in range(len(terms)):
+        for m in range(terms.shape[1]):
+            for c in range(k):
+                terms[i, m, c] = _ZERO
     for point in range(len(ratio)):
         x, y, z = _place(point)
         _write_stress(gradient[point], cofactor[point], ratio[point], element.weights[point], pressure, element.shear)

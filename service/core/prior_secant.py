@@ -33,7 +33,9 @@ def remember(move: Nodal, change: Nodal, moves: Steps, changes: Steps, scales: S
     if not product > np.float32(0.0):
         return count
     row = count % MEMORY
-    moves[row], changes[row], scales[row] = move, change, np.float32(1.0) / product
+    copy(move, moves[row])
+    copy(change, changes[row])
+    scales[row] = np.float32(1.0) / product
     return count + 1
 
 
@@ -65,6 +67,14 @@ def dot(first: Nodal, second: Nodal) -> np.float32:
     for i in range(len(a)):
         total += a[i] * b[i]
     return total
+
+
+@compiled
+def copy(values: Nodal, result: Nodal) -> None:
+    """Write values over others; to assign arrays takes longer to compile."""
+    for i in range(len(result)):
+        for v in range(result.shape[1]):
+            result[i, v] = values[i, v]
 
 
 @partial(compiled, apart=True)
