@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from service.core.compiled import compiled
+from service.core.prior_octants import add_share
 
 MEMORY = 6
 """Steps that are remembered."""
@@ -49,7 +50,7 @@ def take_off(moves: Steps, changes: Steps, scales: Scales, count: int, shares: S
     for k in range(count - 1, max(count - MEMORY, 0) - 1, -1):
         row = k % MEMORY
         shares[row] = scales[row] * dot(moves[row], forces)
-        _add(-shares[row], changes[row], forces)
+        add_share(-shares[row], changes[row].ravel(), forces.ravel())
 
 
 @compiled
@@ -57,7 +58,8 @@ def put_on(moves: Steps, changes: Steps, scales: Scales, count: int, shares: Sca
     """Put on a direction what steps tell of it, the oldest first; after the solve at rest."""
     for k in range(max(count - MEMORY, 0), count):
         row = k % MEMORY
-        _add(shares[row] - scales[row] * dot(changes[row], direction), moves[row], direction)
+        share = shares[row] - scales[row] * dot(changes[row], direction)
+        add_share(share, moves[row].ravel(), direction.ravel())
 
 
 @partial(compiled, reordered=True)
@@ -75,10 +77,3 @@ def copy(values: Nodal, result: Nodal) -> None:
     for i in range(len(result)):
         for v in range(result.shape[1]):
             result[i, v] = values[i, v]
-
-
-@partial(compiled, apart=True)
-def _add(share: np.float32, values: Nodal, result: Nodal) -> None:
-    a, b = values.ravel(), result.ravel()
-    for i in range(len(b)):
-        b[i] += share * a[i]
