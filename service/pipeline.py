@@ -239,8 +239,10 @@ class Pipeline:
         with watch.stage("deform"):
             asked = Once(lambda: self._questions(body, contacts, request))
             if any(load.force_n.any() for load in request.loads):
-                meanwhile = (asked,) if body.crop is None else (asked, body.crop)
-                self._deformation.prepare(body.occupancy, request.material.poisson_ratio, body.inside, meanwhile)
+                later = () if body.crop is None else (body.crop,)
+                self._deformation.prepare(
+                    body.occupancy, request.material.poisson_ratio, body.inside, soon=(asked,), later=later
+                )
             questions = asked()
             conditions = [question.condition for question in questions if question.condition is not None]
             answers: Iterator[LoadResult] = iter(())

@@ -142,9 +142,9 @@ def timed(repeats: int) -> dict[str, Any]:
 def _clocked(work: Callable[..., Any], inside: dict[str, float], stage: str) -> Callable[..., Any]:
     """The same function, which adds up the processor time inside it."""
 
-    def timed_work(*arguments: Any) -> Any:
+    def timed_work(*arguments: Any, **named: Any) -> Any:
         began = time.process_time()
-        found = work(*arguments)
+        found = work(*arguments, **named)
         inside[stage] = inside.get(stage, 0.0) + 1e3 * (time.process_time() - began)
         return found
 

@@ -64,8 +64,12 @@ class _Kept(FunctionCache):
             rtsys.initialize(target_context)  # what kernels allocate their arrays with
             with self._guard_against_spurious_io_errors():
                 return self._load_bare(sig, target_context)
-        except (AttributeError, TypeError, ValueError):  # a version of Numba that keeps code in another form
-            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError, TypeError, ValueError):  # kept in another form, by another Numba
+            try:
+                return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+            except (AttributeError, ImportError):  # kept for arguments of a class that is gone since
+                self.flush()  # type: ignore[no-untyped-call]
+                return None
 
     def _load_bare(self, sig: Any, target_context: Any) -> Any:
         key = self._index_key(sig, target_context.codegen())  # type: ignore[no-untyped-call]

@@ -16,6 +16,7 @@ from service.core.prior_field import Points, backward_fields
 from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
+from service.core.spread import Spread, in_turn
 
 CELLS = 300
 """Cells with material that a body is cut into, about: bodies with legs and walls fill few of those over their box.
@@ -52,6 +53,7 @@ class ElasticPrior:
             left out.
         poisson_ratio: ν; above 0.49 it is taken as 0.49, as everywhere.
         cells: Cells with material, about.
+        spread: Cores for setting it up.
 
     Raises:
         ValueError: The body is empty.
@@ -59,10 +61,12 @@ class ElasticPrior:
             occupancy is known to do this.
     """
 
-    def __init__(self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS) -> None:
+    def __init__(
+        self, occupancy: Occupancy, poisson_ratio: float, cells: int = CELLS, spread: Spread = in_turn
+    ) -> None:
         self.grid = CellGrid.fit(occupancy, cells)
         self._occupancy = occupancy
-        self.solver = NeoHookeanSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX))
+        self.solver = NeoHookeanSolver(self.grid, min(poisson_ratio, POISSON_RATIO_MAX), spread)
 
     @cached_property
     def _points(self) -> Points:

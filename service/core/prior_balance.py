@@ -12,12 +12,13 @@ from jaxtyping import Float32
 from service.core.compiled import compiled
 from service.core.prior_assembly import rest_factor, solve_at_rest
 from service.core.prior_cells import Cells, Nodal, at_corners, gradients, mean_at_nodes
-from service.core.prior_factor import BandFactor
 from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CellGrid
 from service.core.prior_rotation import Matrices, add_identity, polar_rotations, turn, turn_back
 from service.core.prior_secant import MEMORY, copy, dot, put_on, remember, take_off
+from service.core.prior_twisted import TwistedFactor
 from service.core.prior_unrolling import unroll
+from service.core.spread import Spread, in_turn
 
 TOLERANCE = np.float32(3e-5)
 """Of the load's work: where the missing forces do less on the next step, a load is balanced. That leaves some half a
@@ -57,13 +58,14 @@ class NeoHookeanSolver:
     Args:
         grid: Its cells.
         poisson_ratio: ν in [0, 0.49].
+        spread: Cores for the factor.
 
     Source: of the law, `service.core.prior_element.Element`; of the steps, `service.core.prior_secant`.
     """
 
-    def __init__(self, grid: CellGrid, poisson_ratio: float) -> None:
+    def __init__(self, grid: CellGrid, poisson_ratio: float, spread: Spread = in_turn) -> None:
         self.cells = Cells.of(grid, poisson_ratio)
-        self.factor = rest_factor(self.cells)
+        self.factor = rest_factor(self.cells, spread)
 
     def solve(self, force: Loads, steps: int) -> Loads:
         """Displacements under nodal forces.
@@ -111,7 +113,7 @@ def _bound(u: Loads) -> None:
 
 
 @compiled
-def _balance(cells: Cells, factor: BandFactor, force: Nodal, steps: int, u: Nodal) -> None:
+def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: Nodal) -> None:
     """Lead displacements on in their place, by quasi-Newton steps around the factor at rest in the frames of the nodes.
 
     Each goes as far as the missing forces work for it. Where one leads nowhere, the earlier ones are forgotten and the
@@ -196,7 +198,7 @@ def _longest(values: Nodal) -> np.float32:
 
 
 @compiled
-def _correct(cells: Cells, factor: BandFactor, force: Nodal, u: Nodal, result: Nodal) -> None:
+def _correct(cells: Cells, factor: TwistedFactor, force: Nodal, u: Nodal, result: Nodal) -> None:
     """See `NeoHookeanSolver.correction`."""
     missing, frames = np.empty_like(u), np.empty((3, 3, u.shape[1]), np.float32)
     missing_forces(cells, u, force, missing)
@@ -218,7 +220,7 @@ def _take_frames(cells: Cells, u: Nodal, frames: Matrices) -> None:
 
 
 @compiled
-def _solve_in_frames(factor: BandFactor, frames: Matrices, force: Nodal, result: Nodal) -> None:
+def _solve_in_frames(factor: TwistedFactor, frames: Matrices, force: Nodal, result: Nodal) -> None:
     """Displacements by the factor at rest, turned with the material."""
     turned = np.empty((1, *force.shape), np.float32)
     turn_back(frames, force, turned[0])

@@ -24,75 +24,88 @@ Panels = Float32[np.ndarray, "panels 8 width"]
 Panel = Float32[np.ndarray, "8 width"]
 Values = Float32[np.ndarray, " n"]
 Ends = Int[np.ndarray, " panels"]
+Pivots = Float32[np.ndarray, "panels 8"]
+RightSides = Float32[np.ndarray, "loads dof"]
 Eight: TypeAlias = tuple[float, float, float, float, float, float, float, float]
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _NEXT, _TWO, _EIGHT = np.uintp(1), np.uintp(2), np.uintp(PANEL)
 
 
-class BandFactor(NamedTuple):
-    """The factor UᵀU of a symmetric positive definite band matrix.
+class Band(NamedTuple):
+    """A symmetric band matrix or, where its panels are eliminated, its factor UᵀU.
 
     Attributes:
-        upper: Row p of panel k is row 8k + p of U, from column 8k on; on the diagonal stand the inverses.
-        ends: One past the last column of each panel.
+        upper: Row p of panel k is row 8k + p, from column 8k on; left of the diagonal nothing is read. On the diagonal
+            of a factor stand the inverses.
+        ends: One past the last column of each panel, multiples of 8 that never decrease.
     """
 
     upper: Panels
     ends: Ends
 
 
-def factorised(upper: Panels, ends: Ends) -> BandFactor:
-    """The factor, written over the matrix.
+@compiled
+def least_pivots(band: Band) -> Pivots:
+    """Of a matrix of which nothing is eliminated: a smaller pivot is rounding."""
+    least = np.empty((len(band.upper), PANEL), np.float32)
+    for k in range(len(least)):
+        for p in range(PANEL):
+            least[k, p] = _LEAST_PIVOT * band.upper[k, p, p]
+    return least
+
+
+@compiled
+def eliminate(band: Band, least: Pivots, first: int, end: int) -> bool:
+    """Write the factor over panels from the first to before the end, and take off later ones what they stand for.
 
     Args:
-        upper: The matrix, laid out as `BandFactor.upper`; left of the diagonal nothing is read.
-        ends: One past the last column of each panel, multiples of 8 that never decrease.
+        band: Panels before the first are eliminated.
+        least: See `least_pivots`.
+        first: Panel.
+        end: Panel.
 
-    Raises:
-        np.linalg.LinAlgError: A pivot is not positive, or not in single precision.
+    Returns:
+        False where the matrix is not positive definite, or not in single precision.
 
     Source: Golub and Van Loan, Matrix Computations (2013), section 4.3.5.
     """
-    if not _factorise(upper, ends):
-        raise np.linalg.LinAlgError("the matrix is not positive definite in single precision")
-    return BandFactor(upper, ends)
-
-
-@compiled
-def substitute(factor: BandFactor, values: Float32[np.ndarray, "loads dof"]) -> None:
-    """Replace right-hand sides, 8 values a panel, by their solutions; a panel serves all loads while it is at hand."""
-    for k in range(len(factor.ends)):
-        first, end = PANEL * k, factor.ends[k]
-        for load in range(len(values)):
-            row = values[load]
-            _eliminate(row[first : first + PANEL], factor.upper[k], row[first + PANEL : end])
-    for k in range(len(factor.ends) - 1, -1, -1):
-        first, end = PANEL * k, factor.ends[k]
-        for load in range(len(values)):
-            row = values[load]
-            _substitute_back(row[first : first + PANEL], factor.upper[k], row[first + PANEL : end])
-
-
-@compiled
-def _factorise(upper: Panels, ends: Ends) -> bool:
-    """Write the factor; False where a pivot is not positive. See `BandFactor`."""
-    least = np.empty((len(upper), PANEL), np.float32)
-    for k in range(len(upper)):
-        for p in range(PANEL):
-            least[k, p] = _LEAST_PIVOT * upper[k, p, p]
+    upper = band.upper
     rows = np.empty((PANEL, upper.shape[2]), np.float32)
-    for k in range(len(upper)):
-        own, count = upper[k], ends[k] - PANEL * k
+    for k in range(first, end):
+        own, count = upper[k], band.ends[k] - PANEL * k
         if not _factorise_diagonal(own, least[k]):
             return False
         _solve_rows(own, rows, np.uintp(count))
-        for first in range(PANEL, count, PANEL):
-            _subtract(upper[k + first // PANEL], rows, np.uintp(first), np.uintp(count - first))
+        for column in range(PANEL, count, PANEL):
+            _subtract(upper[k + column // PANEL], rows, np.uintp(column), np.uintp(count - column))
         for p in range(PANEL):
             for j in range(PANEL, count):
                 own[p, j] = rows[p, j]
     return True
+
+
+@compiled
+def substitute(factor: Band, values: RightSides, first: int, end: int) -> None:
+    """Solve with the lower factor's panels from the first to before the end: Uᵀy = b, in the place of b.
+
+    A panel serves all loads while it is at hand; 8 values belong to each.
+    """
+    for k in range(first, end):
+        start, stop = PANEL * k, factor.ends[k]
+        for load in range(len(values)):
+            row = values[load]
+            _eliminate(row[start : start + PANEL], factor.upper[k], row[start + PANEL : stop])
+
+
+@compiled
+def substitute_back(factor: Band, values: RightSides, first: int, end: int) -> None:
+    """Solve with the upper factor's panels, the last before the end first: Ux = y, in the place of y."""
+    for k in range(end - 1, first - 1, -1):
+        start, stop = PANEL * k, factor.ends[k]
+        for load in range(len(values)):
+            row = values[load]
+            _substitute_back(row[start : start + PANEL], factor.upper[k], row[start + PANEL : stop])
 
 
 @compiled

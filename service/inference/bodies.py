@@ -14,6 +14,7 @@ from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX
 from service.core.lookup import Inside, Warp
 from service.core.prior import ElasticPrior
+from service.core.spread import Spread
 from service.inference.spare_cores import Once
 
 KEPT_BODIES = 4
@@ -23,6 +24,7 @@ KEPT_SOLVERS = 2
 """Of each body, for as many Poisson's ratios."""
 
 Features: TypeAlias = dict[str, np.ndarray]
+Encode: TypeAlias = Callable[[Float32[np.ndarray, "..."]], Features]
 
 
 class PreparedBody:
@@ -32,19 +34,19 @@ class PreparedBody:
         rest: The body.
         inside: See `service.core.lookup.Warp`.
         encode: Encodes it for the network.
+        spread: Cores for the solve's set-up.
 
     Attributes:
         features: What the network makes of the body alone, by name.
         warp: Its occupancy, to be looked up.
     """
 
-    def __init__(
-        self, rest: Occupancy, inside: Inside | None, encode: Callable[[Float32[np.ndarray, "..."]], Features]
-    ) -> None:
+    def __init__(self, rest: Occupancy, inside: Inside | None, encode: Encode, spread: Spread) -> None:
         self.rest = rest
         self.inside = inside
         self.features = Once(lambda: encode(rest.astype(np.float32)[None, None]))
         self.warp = Once(lambda: Warp(rest, inside))
+        self._spread = spread
         self._lock = threading.Lock()
         self._solvers: dict[np.float32, Once[ElasticPrior]] = {}
 
@@ -52,7 +54,9 @@ class PreparedBody:
         """Its factorised solve for a Poisson's ratio, as precise as in a condition."""
         ratio = np.float32(min(poisson_ratio, POISSON_RATIO_MAX))
         with self._lock:
-            found = self._solvers.pop(ratio, None) or Once(partial(ElasticPrior, self.rest, float(ratio)))
+            found = self._solvers.pop(ratio, None) or Once(
+                partial(ElasticPrior, self.rest, float(ratio), spread=self._spread)
+            )
             self._solvers[ratio] = found
             if len(self._solvers) > KEPT_SOLVERS:
                 del self._solvers[next(iter(self._solvers))]
@@ -64,10 +68,12 @@ class Bodies:
 
     Args:
         encode: See `PreparedBody`.
+        spread: See `PreparedBody`.
     """
 
-    def __init__(self, encode: Callable[[Float32[np.ndarray, "..."]], Features]) -> None:
+    def __init__(self, encode: Encode, spread: Spread) -> None:
         self._encode = encode
+        self._spread = spread
         self._kept: list[PreparedBody] = []
         self._lock = threading.Lock()
 
@@ -79,6 +85,6 @@ class Bodies:
                     self._kept.remove(body)
                     break
             else:
-                body = PreparedBody(rest, inside, self._encode)
+                body = PreparedBody(rest, inside, self._encode, self._spread)
             self._kept = [*self._kept, body][-KEPT_BODIES:]
             return body

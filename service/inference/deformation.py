@@ -71,24 +71,29 @@ class DeformationModel:
         self.spare = spare or SpareCores(0)
         self._features = [tensor.name for tensor in encoder.get_outputs()]
         self._latent = int(next(i for i in generator.get_inputs() if i.name == "noise").shape[1])
-        self._bodies = Bodies(self._encode)
+        self._bodies = Bodies(self._encode, self.spare.spread)
 
     def prepare(
-        self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None, meanwhile: Iterable[Once[Any]] = ()
-    ) -> None:
-        """Set the coarse solve of a body up, and have prepared meanwhile what its answers need besides.
+        self, rest: Occupancy, poisson_ratio: float, inside: Inside | None = None, soon: Iterable[Once[Any]] = (),
+        later: Iterable[Once[Any]] = (),
+    ) -> None:  # fmt: skip
+        """Set the coarse solve of a body up, and offer what its answers need besides to cores that have time.
 
         Args:
             rest: The body.
             poisson_ratio: ν of its material.
             inside: See `service.core.lookup.Warp`.
-            meanwhile: What its caller needs besides.
+            soon: What its caller needs before loads are solved for.
+            later: What its caller needs after that.
         """
         body = self._bodies.find(rest, inside)
-        # The network first, one long call: many short ones in both threads would wait for the interpreter in turns.
-        for once in (body.features, *meanwhile, body.warp):
+        for once in soon:
             self.spare.offer(once)
-        body.solver(poisson_ratio)()
+        body.solver(poisson_ratio)()  # half of it is offered, too
+        self.spare.offer(body.features)
+        self.spare.offer(body.warp)
+        for once in later:
+            self.spare.offer(once)
 
     def prior(self, rest: Occupancy, conditions: Sequence[Condition], inside: Inside | None = None) -> Prior:
         """The coarse solve that the network starts from; loads of one material are solved at once."""
@@ -160,4 +165,3 @@ class DeformationModel:
             if value > high or (value < low and name != "log10_load_number"):
                 return True
         return False
-

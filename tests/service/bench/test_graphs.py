@@ -7,6 +7,7 @@ import pytest
 from service.bench.graphs import BareGraphs
 from service.bench.question import sample_question
 from service.core.arrays import Occupancy
+from service.core.spread import Spread
 from service.inference import bodies
 from service.settings import Settings
 
@@ -15,9 +16,9 @@ def test_both_networks_and_the_whole_prior_are_asked_again(monkeypatch: pytest.M
     prepared: list[float] = []
 
     class Counted(bodies.ElasticPrior):
-        def __init__(self, occupancy: Occupancy, poisson_ratio: float) -> None:
+        def __init__(self, occupancy: Occupancy, poisson_ratio: float, spread: Spread) -> None:
             prepared.append(poisson_ratio)
-            super().__init__(occupancy, poisson_ratio)
+            super().__init__(occupancy, poisson_ratio, spread=spread)
 
     monkeypatch.setattr(bodies, "ElasticPrior", Counted)
     bare = BareGraphs(Settings(), sample_question())

@@ -115,3 +115,23 @@ def test_a_change_of_a_kernel_or_a_constant_of_another_file_is_noticed(tmp_path:
     assert ends(factor=2, offset=1) == "11 1"  # and what only compiling needs was not even imported
     assert ends(factor=2, offset=4) == "14 0 can compile"  # into which `scaled` was taken, itself not compiled again
     assert ends(factor=13, offset=4) == "69 0 can compile"
+
+
+def test_code_kept_for_a_class_that_is_gone_since_is_compiled_anew(tmp_path: Path):
+    def total(name: str) -> str:
+        (tmp_path / "pairs.py").write_text(
+            "from typing import NamedTuple\nfrom service.core.compiled import compiled\n"
+            f"class {name}(NamedTuple):\n    a: float\n    b: float\n"
+            f"some = {name}(1.0, 2.0)\n@compiled\ndef total(pair):\n    return pair.a + pair.b\n"
+        )
+        script = "import pairs; print(pairs.total(pairs.some), sum(pairs.total.stats.cache_hits.values()))"
+        environment = os.environ | {"PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}", "PYTHONDONTWRITEBYTECODE": "1"}
+        return subprocess.run(
+            [sys.executable, "-c", script], env=environment, cwd=tmp_path, check=True, capture_output=True, text=True,
+            timeout=120,
+        ).stdout.strip()  # fmt: skip
+
+    assert total("Pair") == "3.0 0"
+    assert total("Pair") == "3.0 1"
+    assert total("Couple") == "3.0 0"
+    assert total("Couple") == "3.0 1"

@@ -2,6 +2,7 @@ import numpy as np
 
 from service.core.condition import POISSON_RATIO_MAX
 from service.core.lookup import Inside
+from service.core.spread import in_turn
 from service.inference.bodies import KEPT_BODIES, KEPT_SOLVERS, Bodies
 
 BLOCK = np.zeros((64, 64, 64), bool)
@@ -9,7 +10,7 @@ BLOCK[24:40, 20:44, 0:44] = True
 
 
 def bodies() -> Bodies:
-    return Bodies(lambda tensor: {"filled": tensor.sum()})
+    return Bodies(lambda tensor: {"filled": tensor.sum()}, in_turn)
 
 
 def test_the_same_array_is_the_same_body() -> None:

@@ -9,6 +9,7 @@ from service.core.displacement import corrected
 from service.core.lookup import Inside, Warp, warp
 from service.core.motion import motion
 from service.core.prior import ElasticPrior
+from service.core.spread import Spread
 from service.inference.bodies import KEPT_BODIES
 from service.inference.deformation import DeformationModel
 from service.inference.registry import Models, load_models
@@ -83,9 +84,9 @@ def test_a_body_asked_about_again_is_not_factorised_again(models: Models, monkey
     made = []
 
     class Counted(ElasticPrior):
-        def __init__(self, rest: np.ndarray, poisson_ratio: float) -> None:
+        def __init__(self, rest: np.ndarray, poisson_ratio: float, spread: Spread) -> None:
             made.append(poisson_ratio)
-            super().__init__(rest, poisson_ratio)
+            super().__init__(rest, poisson_ratio, spread=spread)
 
     monkeypatch.setattr("service.inference.bodies.ElasticPrior", Counted)
     body, other = BODY.copy(), BODY.copy()
