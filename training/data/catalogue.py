@@ -34,6 +34,7 @@ _PAPER_LOADS = EverydayConfig(
 )  # fmt: skip
 _GENTLE = EverydayConfig(loads=2, fractions=None, peak=(0.008, 0.03))
 _ROUND_FOOTED = ViewsConfig(families=ROUND_FOOTED, undercut=0.75)
+_UPRIGHT = ViewsConfig(families=EverydayConfig().families, thin=0.0, thin_hollow=0.0, tipped=0.0)
 _STRETCH = PaperConfig(young_modulus_pa=(1e9, 1e9, 1), force_n=(2e6, 1), scales=(0.85, 1.2, 8), cells=40)
 
 Draw = Callable[[int], dict[str, np.ndarray]]
@@ -106,6 +107,7 @@ SETS: dict[str, DataSet] = {
     "gentle": DataSet(_GENTLE, 4000, "bodies of `everyday`, two gentle linear pushes each: many bodies in little time"),
     "views": DataSet(ViewsConfig(), 4000, "bodies of all families seen by a noisy depth camera"),
     "round-footed": DataSet(_ROUND_FOOTED, 1500, "views of solid bodies that stand on a part of their width"),
+    "upright": DataSet(_UPRIGHT, 1500, "views of bodies as `everyday` pushes them"),
     "bridge-1x400": DataSet(
         PaperConfig(young_modulus_pa=(*_MATERIALS, 400), force_n=(PUSH_N, 1)), 400, "the paper's: 400 E, one ν"
     ),
