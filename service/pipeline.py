@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -255,7 +255,10 @@ class Pipeline:
 
                 def moved(i: int, _: Spread) -> LoadResult:
                     # One load alone is not shared out: the other thread would wake later than this one is done.
-                    return _moved(body, moving[i], deformation.probability[i], deformation.field[i], threshold)
+                    question = moving[i]
+                    if not deformation.balanced[i]:
+                        question = replace(question, flags=question.flags | {"not_balanced"})
+                    return _moved(body, question, deformation.probability[i], deformation.field[i], threshold)
 
                 answers = iter(self._deformation.spare.each(moved, len(moving)))
             return tuple(

@@ -108,7 +108,7 @@ def _deform_unsolved(models: Models) -> None:
     """The network's half of a deformation, for a body that the solve would not move."""
     still = np.zeros((1, 3, 16, 16, 16), np.float32), np.zeros((1, 3, 32, 32, 32), np.float32)
     block = _block()
-    answer = models.deformation(block, [PUSH], prior=Prior(still[0], Once(lambda: still[1])))
+    answer = models.deformation(block, [PUSH], prior=Prior(still[0], Once(lambda: still[1]), np.ones(1, bool)))
     motion(answer.field[0], block, answer.probability[0], threshold=0.5, edge_m=0.2)
 
 

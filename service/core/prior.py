@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX, Condition
@@ -27,6 +27,7 @@ STEPS = 32
 
 
 Nodal = Float32[np.ndarray, "loads axis=3 n"]
+Balanced = Bool[np.ndarray, " loads"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +39,13 @@ class PriorSolution:
         backward: u_b on a lattice of 32³, node i at (i + ½)/32: the material at y was at rest at y − u_b(y). Outside
             the deformed body the field continues smoothly.
         forward: u(x) on a lattice of 16³, node i at (i + ½)/16: where the material at x at rest goes.
+        balanced: Whether the material's forces balance the load's; otherwise it is a guess.
     """
 
     nodal: Nodal
     backward: Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]
     forward: Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]
+    balanced: Balanced
 
 
 class ElasticPrior:
@@ -79,11 +82,11 @@ class ElasticPrior:
 
     def displacements(self, conditions: Sequence[Condition], steps: int = STEPS) -> PriorSolution:
         """Solve for loads, and make fields of the solutions, see `nodal`."""
-        nodal = self.nodal(conditions, steps)
-        return PriorSolution(nodal, self.backward(nodal), self.forward(nodal))
+        nodal, balanced = self.nodal(conditions, steps)
+        return PriorSolution(nodal, self.backward(nodal), self.forward(nodal), balanced)
 
-    def nodal(self, conditions: Sequence[Condition], steps: int = STEPS) -> Nodal:
-        """Solve for loads, all at once: displacements of the nodes.
+    def nodal(self, conditions: Sequence[Condition], steps: int = STEPS) -> tuple[Nodal, Balanced]:
+        """Solve for loads, all at once: displacements of the nodes, and which of them balance.
 
         Args:
             conditions: One a load, at least one, see `service.core.condition`; their ν is not looked at.

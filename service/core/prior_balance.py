@@ -7,7 +7,7 @@ other. In the kernels even short outer loops run to lengths of arrays: known to 
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float32
+from jaxtyping import Bool, Float32
 
 from service.core.compiled import compiled
 from service.core.prior_assembly import rest_factor, solve_at_rest
@@ -44,6 +44,9 @@ thin walls crumple, and Newton's method takes dozens of factors to balance them,
 _OVERSHOT = np.float32(-0.5)
 """Work that the missing forces may do against a step after it, as a share of what they did before it."""
 
+_NEARLY = np.float32(0.01)
+"""Of the load's work, as `TOLERANCE`: a load whose last step began with more missing is not balanced."""
+
 _FARTHEST = 2.0
 """Edges of the body grid. What moves farther has left the grid; loads that would do so are answered at a share."""
 
@@ -67,28 +70,28 @@ class NeoHookeanSolver:
         self.cells = Cells.of(grid, poisson_ratio)
         self.factor = rest_factor(self.cells, spread)
 
-    def solve(self, force: Loads, steps: int) -> Loads:
-        """Displacements under nodal forces.
+    def solve(self, force: Loads, steps: int) -> tuple[Loads, Bool[np.ndarray, " loads"]]:
+        """Displacements under nodal forces, and which of them balance.
 
         Args:
             force: In E L².
-            steps: 0 gives the linear solution. Otherwise that is unrolled and led on until it balances to `TOLERANCE`,
-                in at most this many steps.
+            steps: 0 gives the linear solution, which always does. Otherwise that is unrolled and led on until it
+                balances to `TOLERANCE`, in at most this many steps.
 
         Returns:
             Finite values of at most two edges of the grid, whatever the load: one for which nothing finite comes out is
-            answered as none.
+            answered as none. What is cut so does not balance.
         """
-        u = np.empty_like(force)
+        u, balanced = np.empty_like(force), np.ones(len(force), bool)
         solve_at_rest(self.factor, force, u)
         if steps:
             unrolled = np.empty_like(force)
             unroll(self.cells, u, unrolled)
             solve_at_rest(self.factor, unrolled, u)
             for load in range(len(u)):
-                _balance(self.cells, self.factor, force[load], steps, u[load])
-        _bound(u)
-        return u
+                balanced[load] = _balance(self.cells, self.factor, force[load], steps, u[load])
+        _bound(u, balanced)
+        return u, balanced
 
     def correction(self, u: Loads, force: Loads) -> Loads:
         """About what is missing to balance: the forces left over, by the factor at rest in the frames of the nodes."""
@@ -99,7 +102,7 @@ class NeoHookeanSolver:
 
 
 @compiled
-def _bound(u: Loads) -> None:
+def _bound(u: Loads, balanced: Bool[np.ndarray, " loads"]) -> None:
     """Take displacements that go farther than `_FARTHEST` at a share; what is no number is none."""
     for load in range(len(u)):
         values = u[load].ravel()
@@ -108,16 +111,17 @@ def _bound(u: Loads) -> None:
             longest = max(longest, abs(values[i]))
             finite &= np.isfinite(values[i])
         share = min(np.float32(1.0), np.float32(_FARTHEST) / longest)
+        balanced[load] &= finite and share == np.float32(1.0)
         for i in range(len(values)):
             values[i] = share * values[i] if finite else np.float32(0.0)
 
 
 @compiled
-def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: Nodal) -> None:
+def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: Nodal) -> bool:
     """Lead displacements on in their place, by quasi-Newton steps around the factor at rest in the frames of the nodes.
 
     Each goes as far as the missing forces work for it. Where one leads nowhere, the earlier ones are forgotten and the
-    frames taken anew; where the first of such a series leads nowhere, nothing does.
+    frames taken anew; where the first of such a series leads nowhere, nothing does. False where they do not balance.
     """
     frames, missing, left = np.empty((3, 3, u.shape[1]), np.float32), np.empty_like(u), np.empty_like(u)
     start, place, move, direction = np.empty_like(u), np.empty_like(u), np.empty_like(u), np.empty_like(u)
@@ -132,7 +136,7 @@ def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: N
     else:
         missing_forces(cells, u, force, missing)
     _take_frames(cells, u, frames)
-    count, fresh, largest = 0, True, _ONE
+    count, fresh, largest, nearly = 0, True, _ONE, False
     for step in range(steps):
         copy(missing, left)
         take_off(moves, changes, scales, count, shares, left)
@@ -141,11 +145,12 @@ def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: N
         work = dot(missing, direction)
         total = abs(dot(force, u))
         if _ZERO < work <= TOLERANCE * total:
-            return
+            return True
+        nearly = bool(abs(work) <= _NEARLY * total)
         if step == _HOPEFUL_STEPS and work > total:
             if missing_forces(cells, start, force, left) > _LEAST_RATIO:
                 copy(start, u)
-            return
+            return False
         share = _ZERO
         if work > _ZERO:
             largest = min(largest, _LONGEST_STEP / _longest(direction))
@@ -158,10 +163,11 @@ def _balance(cells: Cells, factor: TwistedFactor, force: Nodal, steps: int, u: N
                     u[i, v], direction[i, v], missing[i, v] = place[i, v], missing[i, v] - left[i, v], left[i, v]
             count, fresh = remember(move, direction, moves, changes, scales, count), False
         elif fresh:
-            return
+            return nearly
         else:
             _take_frames(cells, u, frames)
             count, fresh, largest = 0, True, _ONE
+    return nearly
 
 
 @compiled

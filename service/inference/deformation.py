@@ -14,14 +14,14 @@ from service.core.arrays import Occupancy
 from service.core.condition import CONDITION_FIELDS, Condition
 from service.core.lookup import Inside
 from service.core.manifest import Manifest
-from service.core.prior import Nodal
+from service.core.prior import Balanced, Nodal
 from service.core.spread import Spread
 from service.inference.bodies import Bodies, Features
 from service.inference.spare_cores import Once, SpareCores
 
 Forward: TypeAlias = Float32[np.ndarray, "n axis=3 x=16 y=16 z=16"]
 Backward: TypeAlias = Float32[np.ndarray, "n axis=3 x=32 y=32 z=32"]
-Solve: TypeAlias = Callable[[Sequence[Condition]], Nodal]
+Solve: TypeAlias = Callable[[Sequence[Condition]], tuple[Nodal, Balanced]]
 
 POISSON_RATIO = CONDITION_FIELDS.index("poisson_ratio")
 
@@ -34,10 +34,12 @@ class Deformation:
         probability: Occupancy probability after each load.
         field: Backward displacement u on the lattice of `service.core.displacement.Field`, in edges of the grid: the
             material at y was at rest at y - u(y).
+        balanced: Of the coarse solve, see `service.core.prior.PriorSolution`.
     """
 
     probability: Float32[np.ndarray, "n x=64 y=64 z=64"]
     field: Backward
+    balanced: Balanced
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Prior:
 
     forward: Forward
     backward: Once[Backward]
+    balanced: Balanced
 
 
 class DeformationModel:
@@ -101,16 +104,18 @@ class DeformationModel:
         ratios = [float(condition[POISSON_RATIO]) for condition in conditions]
         solver = body.solver(ratios[0])()
         nodal = np.empty((len(conditions), 3, len(solver.grid.nodes)), np.float32)
+        balanced = np.empty(len(conditions), bool)
         for ratio in set(ratios):  # one, as from a robot, whose request names one material
             rows, solve = [row for row, one in enumerate(ratios) if one == ratio], body.solver(ratio)().nodal
 
             def part(first: int, end: int, rows: list[int] = rows, solve: Solve = solve) -> None:
-                nodal[rows[first:end]] = solve([conditions[row] for row in rows[first:end]])
+                own = rows[first:end]
+                nodal[own], balanced[own] = solve([conditions[row] for row in own])
 
             self.spare.spread(part, len(rows))
         # The fields are those of the cells, whatever the material. The network is kept waiting by the first alone.
         forward = solver.forward(nodal)
-        return Prior(forward, self.spare.offer(Once(lambda: solver.backward(nodal))))
+        return Prior(forward, self.spare.offer(Once(lambda: solver.backward(nodal))), balanced)
 
     def __call__(
         self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,
@@ -141,7 +146,7 @@ class DeformationModel:
                 warp.corrected(backward[i], correction[i], field[i], probability[i], spread)
 
             self.spare.each(carry, loads)
-            return Deformation(probability, field)
+            return Deformation(probability, field, known.balanced)
 
         if samples == 0:
             return answer(np.zeros((loads, self._latent), np.float32))
@@ -150,6 +155,7 @@ class DeformationModel:
         return Deformation(
             np.stack([each.probability for each in answers]).mean(axis=0),
             np.stack([each.field for each in answers]).mean(axis=0),
+            known.balanced,
         )
 
     def _encode(self, tensor: Float32[np.ndarray, "1 1 x=64 y=64 z=64"]) -> Features:

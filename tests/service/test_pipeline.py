@@ -289,6 +289,18 @@ def test_a_body_that_reaches_the_walls_of_its_grid_is_flagged(pipeline: Pipeline
         assert not load.flags
 
 
+def test_a_push_that_crumples_thin_walls_is_flagged_and_a_gentle_one_is_not(pipeline: Pipeline) -> None:
+    x, y, z = np.indices((64, 64, 64)) - np.array([31.5, 31.5, 0.0])[:, None, None, None]
+    radius = np.sqrt(x**2 + y**2)
+    cup = (radius < 24) & ((radius > 22) | (z < 3)) & (z < 44)
+    contact_m = np.array([(31.5 + 23.5) / 64, 32 / 64, 38 / 64])
+    loads = [Load(np.array([-force_n, 0.0, 0.0]), contact_m) for force_n in (1.0, 1000.0)]
+    source = KnownShape(pack_bits(cup).tobytes(), 1 / 64, np.eye(4))
+    gentle, hard = pipeline.predict(DeformRequest(source, Material(1e5, 0.49), tuple(loads))).loads
+    assert "not_balanced" not in gentle.flags
+    assert "not_balanced" in hard.flags
+
+
 # --- asked again ---
 
 

@@ -10,6 +10,7 @@ const FLAGS: Record<string, string> = {
   contact_snapped: "The contact was off the surface and was moved to the nearest point on it.",
   poisson_ratio_clamped: "Poisson's ratio above 0.49 is answered as 0.49.",
   outside_training_range: "Beyond what the model was trained on: take this as a guess.",
+  not_balanced: "No balance was found under this push: take this as a guess.",
   leaves_grid: "The body is pushed out of the grid; what lies beyond is cut off.",
   support_not_seen: "No support plane was seen; its place is assumed.",
   up_unknown: "No support plane was seen: which side is held is a guess.",
