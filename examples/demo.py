@@ -49,8 +49,8 @@ class Push:
 
 PUSHES = (
     Push("sugar_box", "dragon_skin_10", (385, 125), (9.0, 0.0, 4.5)),
-    Push("mug", "dragon_skin_10", (365, 215), (0.0, 2.0, 8.0)),
-    Push("bowl", "dragon_skin_10", (260, 225), (20.0, 6.0, 0.0)),
+    Push("mug", "dragon_skin_10", (365, 215), (0.0, 1.0, 4.0)),
+    Push("bowl", "dragon_skin_10", (260, 225), (1.6, 0.5, 0.0)),
 )
 
 

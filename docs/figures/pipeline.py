@@ -39,7 +39,7 @@ from service.settings import default_models_directory  # noqa: E402
 
 FRAME = ROOT / "examples/frames/mug"
 PRESS_PX = (365.0, 215.0)
-FORCE_N = (0.0, 2.0, 8.0)
+FORCE_N = (0.0, 1.0, 4.0)
 MATERIAL = "dragon_skin_10"
 
 PANEL_PX = 420

@@ -3,7 +3,7 @@
     from service.client import Camera, PhysNetClient, Push
 
     with PhysNetClient("grpc://127.0.0.1:8001") as client:
-        result = client.deform(depth, Camera.from_json("camera.json"), Push(contact_px=(365, 215), force_n=(0, 2, 8)))
+        result = client.deform(depth, Camera.from_json("camera.json"), Push(contact_px=(365, 215), force_n=(0, 1, 4)))
     print(result.max_displacement_m, result.points_camera().shape)
 
 More of it: docs/client.md.

@@ -12,8 +12,8 @@ export interface Sample {
 }
 
 export const SAMPLES: readonly Sample[] = [
-  { id: "mug", name: "Mug", material: "dragon_skin_10", contact: [365, 215], forceN: [0, 2, 8] },
-  { id: "bowl", name: "Bowl", material: "dragon_skin_10", contact: [260, 225], forceN: [20, 6, 0] },
+  { id: "mug", name: "Mug", material: "dragon_skin_10", contact: [365, 215], forceN: [0, 1, 4] },
+  { id: "bowl", name: "Bowl", material: "dragon_skin_10", contact: [260, 225], forceN: [1.6, 0.5, 0] },
   { id: "sugar_box", name: "Sugar box", material: "dragon_skin_10", contact: [385, 125], forceN: [9, 0, 4.5] },
 ];
 
