@@ -9,8 +9,8 @@ from jaxtyping import Float32
 
 from service.core.compiled import compiled
 from service.core.prior_cells import Cells
-from service.core.prior_factor import PANEL, Ends, Panels
-from service.core.prior_twisted import TwistedFactor, add, factorised, solve
+from service.core.prior_factor import PANEL, Ends, Panels, add
+from service.core.prior_twisted import TwistedFactor, factorised, row_count, solve
 from service.core.spread import Spread, in_turn
 
 _SHIFTS = (0.0, 1e-5, 1e-3, 1e-2)
@@ -44,7 +44,7 @@ def rest_factor(cells: Cells, spread: Spread = in_turn) -> TwistedFactor:
 def solve_at_rest(factor: TwistedFactor, force: Loads, result: Loads) -> None:
     """Displacements of the nodes by linear elasticity; the result may be the force."""
     loads, axes, n = force.shape
-    values = np.zeros((loads, PANEL * (len(factor.forward.ends) + factor.after)), np.float32)
+    values = np.zeros((loads, row_count(factor)), np.float32)
     for load in range(loads):
         for axis in range(axes):
             for v in range(n):

@@ -15,10 +15,11 @@ from service.core.prior_cells import Cells, Nodal, at_corners, gradients, mean_a
 from service.core.prior_forces import missing_forces
 from service.core.prior_grid import CellGrid
 from service.core.prior_rotation import Matrices, add_identity, polar_rotations, turn, turn_back
-from service.core.prior_secant import MEMORY, copy, dot, put_on, remember, take_off
+from service.core.prior_secant import MEMORY, put_on, remember, take_off
 from service.core.prior_twisted import TwistedFactor
 from service.core.prior_unrolling import unroll
 from service.core.spread import Spread, in_turn
+from service.core.vectors import copy, dot
 
 TOLERANCE = np.float32(3e-5)
 """Of the load's work: where the missing forces do less on the next step, a load is balanced. That leaves some half a

@@ -10,8 +10,8 @@ from jaxtyping import Float32, Float64
 
 from service.core.compiled import compiled
 from service.core.prior_grid import CORNERS, CellGrid, shape_functions
-from service.core.prior_octants import add_share
 from service.core.prior_sole import GAUSS_3
+from service.core.vectors import add_share
 
 VOID_STIFFNESS = 1e-3
 """Young's modulus of the empty part of a cell, of that of the body: no node hangs free."""
@@ -82,8 +82,7 @@ class Element(NamedTuple):
         weights[:, :own] = held * (np.float32(volume) * fill ** np.float32(FILL_POWER - 1.0))
         void[:own] = VOID_STIFFNESS * np.maximum(1.0 - grid.fill, 1e-3)
         edges = grid.edges.astype(np.float32)
-        stiffness = np.zeros((24, 24), np.float32)
-        _add_shear_stiffness(edges, np.full(8, volume / 16.0, np.float32), stiffness)
+        stiffness = np.float32(volume / 16.0) * _shear_stiffness(edges).sum(axis=0)
         return cls(
             weights, void, stiffness, edges, np.float32(0.5 / (1.0 + poisson_ratio)),
             np.float32(poisson_ratio / ((1.0 + poisson_ratio) * (1.0 - 2.0 * poisson_ratio))),
@@ -100,14 +99,9 @@ def rest_stiffness(element: Element) -> Float32[np.ndarray, "24 24 k"]:
 @compiled
 def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k"]) -> None:
     """Sums over the Gauss points, and λ V h ⊗ h with h the mean of the points' ∇N."""
-    table = np.zeros((8, 24, 24), np.float32)
-    share = np.zeros(8, np.float32)
-    for point in range(len(share)):
-        share[point] = element.shear
-        _add_shear_stiffness(element.edges, share, table[point])
-        share[point] = np.float32(0.0)
+    table = _shear_stiffness(element.edges)
     mean, bulk = np.zeros((24, len(element.void)), np.float32), np.zeros(len(element.void), np.float32)
-    for point in range(len(share)):
+    for point in range(len(table)):
         add_share(np.float32(1.0), element.weights[point], bulk)
         for a in range(len(mean)):
             add_share(_GRADIENTS[point, a // 3, a % 3] / element.edges[a % 3], element.weights[point], mean[a])
@@ -117,9 +111,9 @@ def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k
         for b in range(a, len(result)):
             row = result[a, b]
             _write_product(bulk, mean[a], mean[b], row)
-            for point in range(len(share)):
+            for point in range(len(table)):
                 if table[point, a, b] != np.float32(0.0):
-                    add_share(table[point, a, b], element.weights[point], row)
+                    add_share(element.shear * table[point, a, b], element.weights[point], row)
             add_share(element.void_stiffness[a, b], element.void, row)
             other = result[b, a]
             for k in range(len(row)):
@@ -127,21 +121,21 @@ def _write_rest_stiffness(element: Element, result: Float32[np.ndarray, "24 24 k
 
 
 @compiled
-def _add_shear_stiffness(edges: Edges, share: Float32[np.ndarray, "8"], result: Float32[np.ndarray, "24 24"]) -> None:
-    """Add shares of 2 ε : ε by the displacements at the Gauss points: ∇N_a·∇N_b 1 + ∇N_b ⊗ ∇N_a."""
-    for point in range(len(share)):
-        if share[point] == np.float32(0.0):
-            continue
-        for a in range(len(result)):
+def _shear_stiffness(edges: Edges) -> Float32[np.ndarray, "8 24 24"]:
+    """2 ε : ε by the displacements at the Gauss points: ∇N_a·∇N_b 1 + ∇N_b ⊗ ∇N_a."""
+    result = np.empty((8, 24, 24), np.float32)
+    for point in range(len(result)):
+        for a in range(result.shape[1]):
             i = a % 3
-            for b in range(len(result)):
+            for b in range(result.shape[2]):
                 j = b % 3
                 value = _GRADIENTS[point, a // 3, j] * _GRADIENTS[point, b // 3, i] / (edges[i] * edges[j])
                 if i == j:
                     for axis in range(len(edges)):
                         product = _GRADIENTS[point, a // 3, axis] * _GRADIENTS[point, b // 3, axis]
                         value += product / (edges[axis] * edges[axis])
-                result[a, b] += share[point] * value
+                result[point, a, b] = value
+    return result
 
 
 @partial(compiled, apart=True)

@@ -46,6 +46,13 @@ class Band(NamedTuple):
 
 
 @compiled
+def add(upper: Panels, row: int, column: int, value: np.float32) -> None:
+    """Add to an entry on the diagonal or right of it."""
+    panel = row // PANEL
+    upper[panel, row - PANEL * panel, column - PANEL * panel] += value
+
+
+@compiled
 def least_pivots(band: Band) -> Pivots:
     """Of a matrix of which nothing is eliminated: a smaller pivot is rounding."""
     least = np.empty((len(band.upper), PANEL), np.float32)

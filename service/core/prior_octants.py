@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float32, Int
@@ -10,6 +10,7 @@ from jaxtyping import Float32, Int
 from service.core.arrays import Eights, Occupancy
 from service.core.compiled import compiled
 from service.core.extent import Voxel
+from service.core.vectors import add_share
 
 Table = Float32[np.ndarray, "voxels halves"]
 Octants = Float32[np.ndarray, "8 x y z"]
@@ -73,13 +74,6 @@ def _integrate(words: Eights, first: Int[np.ndarray, "3"], x: Table, y: Table, z
                 line = total[2 * a + part // 4, 2 * b + part // 2 % 2]
                 for c in range(held.shape[3]):
                     held[part, a, b, c] = line[2 * c + part % 2]
-
-
-@partial(compiled, apart=True)
-def add_share(share: np.float32, values: Float32[np.ndarray, " n"], result: Float32[np.ndarray, " more"]) -> None:
-    """Add a share of values to the first of others."""
-    for i in range(len(values)):
-        result[i] += share * values[i]
 
 
 @lru_cache(maxsize=512)

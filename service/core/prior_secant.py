@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 from jaxtyping import Float32
 
 from service.core.compiled import compiled
-from service.core.prior_octants import add_share
+from service.core.vectors import add_share, copy, dot
 
 MEMORY = 6
 """Steps that are remembered."""
@@ -60,20 +58,3 @@ def put_on(moves: Steps, changes: Steps, scales: Scales, count: int, shares: Sca
         row = k % MEMORY
         share = shares[row] - scales[row] * dot(changes[row], direction)
         add_share(share, moves[row].ravel(), direction.ravel())
-
-
-@partial(compiled, reordered=True)
-def dot(first: Nodal, second: Nodal) -> np.float32:
-    """Their product."""
-    a, b, total = first.ravel(), second.ravel(), np.float32(0.0)
-    for i in range(len(a)):
-        total += a[i] * b[i]
-    return total
-
-
-@compiled
-def copy(values: Nodal, result: Nodal) -> None:
-    """Write values over others; to assign arrays takes longer to compile."""
-    for i in range(len(result)):
-        for v in range(result.shape[1]):
-            result[i, v] = values[i, v]

@@ -18,6 +18,7 @@ from service.core.prior_factor import (
     Panels,
     Pivots,
     RightSides,
+    add,
     eliminate,
     least_pivots,
     substitute,
@@ -82,10 +83,9 @@ def factorised(ends: Ends, backward_ends: Ends, assemble: Assemble, spread: Spre
 
 
 @compiled
-def add(upper: Panels, row: int, column: int, value: np.float32) -> None:
-    """Add to an entry on the diagonal or right of it."""
-    panel = row // PANEL
-    upper[panel, row - PANEL * panel, column - PANEL * panel] += value
+def row_count(factor: TwistedFactor) -> int:
+    """Rows of the whole matrix."""
+    return PANEL * (len(factor.forward.ends) + factor.after)
 
 
 @compiled
@@ -145,7 +145,7 @@ def _meet(factor: TwistedFactor, least: Pivots) -> bool:
     """Take off the middle what the second part stands for, and eliminate it; False as by `eliminate`."""
     forward, backward, before, after = factor
     end = 0 if after == 0 else backward.ends[after - 1]
-    last = PANEL * (len(forward.ends) + after) - 1
+    last = row_count(factor) - 1
     for row in range(PANEL * after, end):
         panel = row // PANEL
         for column in range(row, end):

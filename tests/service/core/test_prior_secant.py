@@ -1,6 +1,6 @@
 import numpy as np
 
-from service.core.prior_secant import MEMORY, dot, put_on, remember, take_off
+from service.core.prior_secant import MEMORY, put_on, remember, take_off
 
 N = 7
 
@@ -52,8 +52,3 @@ def test_a_step_along_which_forces_do_not_grow_is_not_remembered() -> None:
     np.testing.assert_array_equal(direction(moves, np.stack([changes[0], -changes[1]]), forces), without)
     nothing = np.zeros((1, 3, N), np.float32)
     np.testing.assert_array_equal(direction(nothing, nothing, forces), forces)
-
-
-def test_products_are_those_of_all_entries() -> None:
-    first, second = np.random.default_rng(3).normal(size=(2, 3, N)).astype(np.float32)
-    np.testing.assert_allclose(dot(first, second), (first * second).sum(), rtol=1e-5)
