@@ -24,7 +24,9 @@ class Adversary:
 
     def __init__(self, config: AdversaryConfig, steps: int) -> None:
         self.config = config
-        self.learner = Learner(build_critic(config.critic), config.optimizer, steps)
+        critic = build_critic(config.critic)
+        critic = critic.to(memory_format=critic.memory_format)  # type: ignore[call-overload]
+        self.learner = Learner(critic, config.optimizer, steps)
 
     def beta(self, step: int) -> float:
         """Weight of the VAE loss in the generator's."""
