@@ -34,8 +34,9 @@ def corrected(backward: Field, correction: Lattice, body: Box | None = None) -> 
     """The backward field of a body whose material has moved by a correction more than the field says.
 
     With ψ the map y ↦ y − u_b(y) back to rest and δ(x) the correction of the material at x, the material now at y was
-    before at y − δ, so that u(y) = δ + u_b(y − δ) with δ taken at ψ(y). Nothing moves farther than it is high: what is
-    on the floor is held there. Both fields are trilinear between their nodes; the last value holds outside.
+    before at y − δ, so that u(y) = δ + u_b(y − δ) with δ taken at ψ(y). Nothing is corrected by more than its height at
+    rest: what stands on the floor is held there by the solve. Both fields are trilinear between their nodes; the last
+    value holds outside.
 
     Args:
         backward: u_b in edges of the grid.
@@ -111,14 +112,16 @@ def correct(
             _find_cells(place, size, count, cells, shares)
             _interpolate(lattice, size, cells, shares, count, moved)
             for n in range(count):
+                mx, my, mz, height = moved[0, n], moved[1, n], moved[2, n], max(place[2, n], _ZERO)
+                squared = mx * mx + my * my + mz * mz
+                held = height / np.sqrt(squared) if squared > height * height else _ONE
+                moved[0, n], moved[1, n], moved[2, n] = held * mx, held * my, held * mz
                 place[0, n], place[1, n], place[2, n] = x - moved[0, n], y - moved[1, n], STEPS[node[n]] - moved[2, n]
             _find_cells(place, FIELD_SIZE, count, cells, shares)
             _interpolate(fields, FIELD_SIZE, cells, shares, count, u)
             for n in range(count):
-                ux, uy, uz, z = u[0, n] + moved[0, n], u[1, n] + moved[1, n], u[2, n] + moved[2, n], STEPS[node[n]]
-                squared = ux * ux + uy * uy + uz * uz
-                held = z / np.sqrt(squared) if squared > z * z else _ONE
-                u[0, n], u[1, n], u[2, n] = held * ux, held * uy, held * uz
+                for axis in range(3):
+                    u[axis, n] += moved[axis, n]
             for n in range(count):
                 at = np.uintp(node[n])
                 final[0, at], final[1, at], final[2, at] = u[0, n], u[1, n], u[2, n]

@@ -33,13 +33,14 @@ def looked_up(lattice: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("size", [16, 32])
 def test_the_kernel_is_the_formula(size: int) -> None:
-    """u(y) = δ(ψ(y)) + u_b(y − δ), no longer than y is high; some places lie outside of both lattices."""
+    """u(y) = δ(ψ(y)) + u_b(y − δ), δ no longer than ψ(y) is high; some places lie outside of both lattices."""
     rng = np.random.default_rng(3)
     backward = rng.normal(0.0, 0.1, (3, 32, 32, 32)).astype(np.float32)
     correction = rng.normal(0.0, 0.1, (3, size, size, size)).astype(np.float32)
-    moved = looked_up(correction, CENTRES - backward)
+    rest = CENTRES - backward
+    moved = looked_up(correction, rest)
+    moved *= np.minimum(1.0, np.maximum(rest[2], 0.0) / np.linalg.norm(moved, axis=0))
     expected = moved + looked_up(backward, CENTRES - moved)
-    expected *= np.minimum(1.0, CENTRES[2] / np.linalg.norm(expected, axis=0))
     np.testing.assert_allclose(corrected(backward, correction), expected, atol=3e-5)
 
 
@@ -101,10 +102,16 @@ def test_a_correction_far_from_the_body_reaches_no_farther() -> None:
     assert not found[:, 21:].any()
 
 
-def test_nothing_moves_farther_than_it_is_high() -> None:
-    field = corrected(constant(0.3, 0.0, 0.0), np.full((3, 16, 16, 16), 0.1, np.float32))
+def test_nothing_is_corrected_by_more_than_its_height_at_rest() -> None:
+    field = corrected(constant(0.0, 0.0, 0.0), np.full((3, 16, 16, 16), 0.1, np.float32))
     assert bool((np.linalg.norm(field, axis=0) <= CENTRES[2] + 1e-6).all())
-    np.testing.assert_allclose(field[:, :, :, 20:], constant(0.4, 0.1, 0.1)[:, :, :, 20:], atol=1e-5)
+    np.testing.assert_allclose(field[:, :, :, 20:], 0.1, atol=1e-5)
+
+
+def test_what_droops_to_the_floor_is_left_where_nothing_corrects_it() -> None:
+    """It comes from above, and has moved farther than the place is high."""
+    field = constant(0.3, 0.0, -0.4)
+    np.testing.assert_array_equal(corrected(field, np.zeros((3, 16, 16, 16), np.float32)), field)
 
 
 def test_the_box_is_that_of_every_voxel() -> None:
