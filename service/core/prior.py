@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32
 from service.core.arrays import Occupancy
 from service.core.condition import POISSON_RATIO_MAX, Condition
 from service.core.prior_balance import NeoHookeanSolver
-from service.core.prior_field import Points, backward_fields
+from service.core.prior_field import Points, backward_fields, held
 from service.core.prior_grid import CellGrid
 from service.core.prior_lattice import forward_lattice
 from service.core.prior_load import nodal_forces
@@ -83,7 +83,7 @@ class ElasticPrior:
     def displacements(self, conditions: Sequence[Condition], steps: int = STEPS) -> PriorSolution:
         """Solve for loads, and make fields of the solutions, see `nodal`."""
         nodal, balanced = self.nodal(conditions, steps)
-        return PriorSolution(nodal, self.backward(nodal), self.forward(nodal), balanced)
+        return PriorSolution(nodal, self.backward(nodal, balanced), self.forward(nodal), balanced)
 
     def nodal(self, conditions: Sequence[Condition], steps: int = STEPS) -> tuple[Nodal, Balanced]:
         """Solve for loads, all at once: displacements of the nodes, and which of them balance.
@@ -94,9 +94,12 @@ class ElasticPrior:
         """
         return self.solver.solve(self.forces(conditions), steps)
 
-    def backward(self, nodal: Nodal) -> Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]:
-        """`PriorSolution.backward` of displacements of the nodes."""
-        return backward_fields(self._points, self.solver.cells, nodal)
+    def backward(self, nodal: Nodal, balanced: Balanced) -> Float32[np.ndarray, "loads axis=3 x=32 y=32 z=32"]:
+        """`PriorSolution.backward` of displacements of the nodes; that of a guess is held, see `prior_field.held`."""
+        fields = backward_fields(self._points, self.solver.cells, nodal)
+        for load in np.flatnonzero(~balanced):
+            fields[load] = held(fields[load])
+        return fields
 
     def forward(self, nodal: Nodal) -> Float32[np.ndarray, "loads axis=3 x=16 y=16 z=16"]:
         """`PriorSolution.forward` of displacements of the nodes."""

@@ -81,6 +81,18 @@ def backward_fields(points: Points, cells: Cells, displacement: Float32[np.ndarr
     return result
 
 
+def held(field: Float32[np.ndarray, "3 32 32 32"]) -> Float32[np.ndarray, "3 32 32 32"]:
+    """A backward field in which nothing has moved farther than the place is high that it has come to.
+
+    For solutions that do not balance: what droops to the floor in such a guess may be a wall that crumples, and the
+    body is not to stand on it. In a balanced one it does droop, and is left.
+    """
+    height = ((np.arange(FIELD_SIZE) + 0.5) / FIELD_SIZE).astype(np.float32)
+    length = np.sqrt(np.einsum("axyz,axyz->xyz", field, field))
+    result: Float32[np.ndarray, "3 32 32 32"] = field * np.minimum(1.0, height / np.maximum(length, height))
+    return result
+
+
 @compiled
 def _splat(points: Points, cells: Cells, displacement: Nodal, fine: Sums, coarse: Sums) -> None:
     """Add the points, carried by the displacement, to the lattice cells that they fall into.

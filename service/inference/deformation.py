@@ -115,7 +115,7 @@ class DeformationModel:
             self.spare.spread(part, len(rows))
         # The fields are those of the cells, whatever the material. The network is kept waiting by the first alone.
         forward = solver.forward(nodal)
-        return Prior(forward, self.spare.offer(Once(lambda: solver.backward(nodal))), balanced)
+        return Prior(forward, self.spare.offer(Once(lambda: solver.backward(nodal, balanced))), balanced)
 
     def __call__(
         self, rest: Occupancy, conditions: Sequence[Condition], samples: int = 0, prior: Prior | None = None,

@@ -259,3 +259,14 @@ def test_it_is_fast_enough_to_serve() -> None:
         return time.process_time() - start
 
     assert min(once() for _ in range(5)) < 0.1
+
+
+def test_the_field_of_a_guess_is_held_and_that_of_a_balance_is_not() -> None:
+    """What droops in a guess may be a wall that crumples; the body is not to stand on it."""
+    prior = ElasticPrior(column(), 0.3)
+    nodal = np.full((2, 3, len(prior.grid.nodes)), [[[0.3], [0.0], [-0.3]]], np.float32)
+    free, guess = prior.backward(nodal, np.array([True, False]))
+    height = (np.arange(32) + 0.5) / 32
+    assert (np.linalg.norm(free, axis=0) > height).any()
+    assert (np.linalg.norm(guess, axis=0) <= height + 1e-6).all()
+    np.testing.assert_array_equal(guess[:, :, :, 20:], free[:, :, :, 20:])

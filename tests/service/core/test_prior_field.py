@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from service.core.prior_cells import Cells
-from service.core.prior_field import Points, backward_fields
+from service.core.prior_field import Points, backward_fields, held
 from service.core.prior_grid import CellGrid
 from service.core.prior_rotation import exponential
 
@@ -39,3 +39,13 @@ def test_fields_are_those_of_each_load_alone_whatever_their_number() -> None:
     together = backward_fields(points, cells, moved)
     for i in (0, 3):
         np.testing.assert_array_equal(together[i], backward_fields(points, cells, moved[i : i + 1])[0])
+
+
+def test_what_is_held_moves_no_farther_than_it_is_high_and_as_before() -> None:
+    field = np.random.default_rng(1).normal(0.0, 0.2, (3, 32, 32, 32)).astype(np.float32)
+    field[:, 3] = 0.0
+    found, height = held(field), (np.arange(32) + 0.5) / 32
+    length = np.linalg.norm(field, axis=0)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=0), np.minimum(length, height), atol=1e-6)
+    np.testing.assert_allclose(np.cross(field, found, axis=0), 0.0, atol=1e-6)
+    np.testing.assert_array_equal(found[:, length < height], field[:, length < height])
