@@ -51,8 +51,11 @@ def test_the_corrected_field_is_the_one_that_serves() -> None:
     points = nodes.flatten(1).T[None]
     found = displacement_at(correction, backward, points).reshape(3, 32, 32, 32).numpy()
     served = corrected(backward[0].numpy(), correction[0].numpy())
-    free = np.linalg.norm(found, axis=0) < nodes[2].numpy()  # the floor holds the others
-    assert free.mean() > 0.8
+    rest = points - backward.flatten(2).transpose(1, 2)
+    moved = sample_field(correction, rest).norm(dim=1).reshape(32, 32, 32)
+    height = rest[..., 2].reshape(32, 32, 32)
+    free = (moved < height).numpy()  # no other is corrected by all that the network says
+    assert 0.8 < free.mean() < 1
     np.testing.assert_allclose(served[:, free], found[:, free], atol=1e-6)
 
 
