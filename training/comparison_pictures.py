@@ -36,7 +36,7 @@ def curves(found: dict[str, Any]) -> bytes:
     Args:
         found: See `comparison.report`.
     """
-    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    figure = Figure(figsize=(11, 3.7), layout="constrained")
     axes = figure.subplots(1, 3)
     names = [name for name in found["ms"] if name in SHOWN]
     names += [elements[-1] for law in LAWS if (elements := _of_law(found, law))]
@@ -46,7 +46,7 @@ def curves(found: dict[str, Any]) -> bytes:
         for name in names:
             axis.plot(middles, [part["iou"][name] for part in parts], marker=".", label=name, color=colours[name])
         axis.set(xlabel=label, ylabel="IoU, mean of a tenth of the samples")
-    axes[0].legend(frameon=False, fontsize="small")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=len(names), frameon=False)
     for name in ("coarse solve alone", "network"):
         voxels, said, true = np.array(found["calibration"][name])
         full = voxels >= ENOUGH
@@ -54,7 +54,6 @@ def curves(found: dict[str, Any]) -> bytes:
         axes[2].plot(*shares, marker=".", label=name, color=colours[name])
     axes[2].plot([0, 1], [0, 1], color="0.7", linewidth=0.8)
     axes[2].set(xlabel="probability of a voxel", ylabel="share of them that is filled")
-    axes[2].legend(frameon=False, fontsize="small")
     return _svg(figure)
 
 
