@@ -61,6 +61,7 @@ def variants(base: FitDeformationConfig, steps: int) -> dict[str, FitDeformation
         optimizer=OptimizerConfig(learning_rate=2e-4, warm_up=0, weight_decay=0.0, betas=(0.5, 0.999)),
         start=steps // 3, ramp=steps // 6, head_start=steps // 6,
     )  # fmt: skip
+    light = replace(critic, beta=1 - (1 - critic.beta) / 10)
     unaided = replace(base, network=replace(base.network, prior=False))
     voxels = replace(base, network=SMALL_PHYSNET)
     return {
@@ -75,6 +76,10 @@ def variants(base: FitDeformationConfig, steps: int) -> dict[str, FitDeformation
         # Last, as a step with a critic takes seven times as long.
         "with a critic": replace(base, adversary=critic),
         "occupancy in place of displacement, without prior, with a critic": replace(voxels, adversary=critic),
+        "with a critic of a tenth of the weight": replace(base, adversary=light),
+        "occupancy in place of displacement, without prior, with a critic of a tenth of the weight": replace(
+            voxels, adversary=light
+        ),
     }
 
 
