@@ -51,7 +51,7 @@ def curves(found: dict[str, Any]) -> bytes:
         voxels, said, true = np.array(found["calibration"][name])
         full = voxels >= ENOUGH
         shares = said[full] / voxels[full], true[full] / voxels[full]
-        axes[2].plot(*shares, marker=".", label=name, color=colours[name])
+        axes[2].plot(*shares, marker=".", color=colours[name])
     axes[2].plot([0, 1], [0, 1], color="0.7", linewidth=0.8)
     axes[2].set(xlabel="probability of a voxel", ylabel="share of them that is filled")
     return _svg(figure)

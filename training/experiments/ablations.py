@@ -73,7 +73,7 @@ def variants(base: FitDeformationConfig, steps: int) -> dict[str, FitDeformation
         "without prior and condition": replace(unaided, network=replace(base.network, prior=False, conditioned=False)),
         "occupancy in place of displacement, without prior": voxels,
         **{f"trained without {name}": replace(base, held_out=held) for name, held in HELD_OUT.items()},
-        # Last, as a step with a critic takes seven times as long.
+        # Last, as a run with a critic takes fifteen times as long (that of the voxels two to three).
         "with a critic": replace(base, adversary=critic),
         "occupancy in place of displacement, without prior, with a critic": replace(voxels, adversary=critic),
         "with a critic of a tenth of the weight": replace(base, adversary=light),
